@@ -1,0 +1,162 @@
+#include "kernels/engine.h"
+
+#include <algorithm>
+#include <cctype>
+#include <cstdlib>
+
+#include "kernels/embedded.h"
+#include "kernels/engine_impl.h"
+#include "kernels/geometry.h"
+
+namespace brdfit::kernels {
+namespace {
+
+std::string lower(std::string text) {
+    std::transform(text.begin(), text.end(), text.begin(), [](unsigned char c) { return std::tolower(c); });
+    return text;
+}
+
+DeviceInfo describe(const cl::Device& device) {
+    DeviceInfo info;
+    info.name = device.getInfo<CL_DEVICE_NAME>();
+    info.platform = cl::Platform(device.getInfo<CL_DEVICE_PLATFORM>()).getInfo<CL_PLATFORM_NAME>();
+    info.version = device.getInfo<CL_DRIVER_VERSION>();
+    const auto type = device.getInfo<CL_DEVICE_TYPE>();
+    info.type = (type & CL_DEVICE_TYPE_GPU) ? "gpu" : (type & CL_DEVICE_TYPE_CPU) ? "cpu" : "accelerator";
+    info.has_double = device.getInfo<CL_DEVICE_DOUBLE_FP_CONFIG>() != 0;
+    info.compute_units = device.getInfo<CL_DEVICE_MAX_COMPUTE_UNITS>();
+    return info;
+}
+
+/// Lower is better.
+int preference(const DeviceInfo& info) {
+    if (info.type == "gpu" && info.has_double) return 0;
+    if (info.type == "cpu" && info.has_double) return 1;
+    return info.type == "gpu" ? 2 : 3;
+}
+
+std::vector<cl::Device> all_devices() {
+    // PoCL's "basic" device runs a launch in the calling thread (0.6 us instead of 15-20 us of its thread pool); brdfit
+    // brings its own threads, one search each. A user's own setting wins.
+    ::setenv("POCL_DEVICES", "basic", 0);
+    std::vector<cl::Platform> platforms;
+    try {
+        cl::Platform::get(&platforms);
+    } catch (const cl::Error&) {
+        return {};  // the loader reports "no platform" as an error
+    }
+    std::vector<cl::Device> devices;
+    for (const cl::Platform& platform : platforms) {
+        std::vector<cl::Device> found;
+        try {
+            platform.getDevices(CL_DEVICE_TYPE_ALL, &found);
+        } catch (const cl::Error&) {
+            continue;  // a platform without devices
+        }
+        for (const cl::Device& device : found)
+            if (device.getInfo<CL_DEVICE_AVAILABLE>() && device.getInfo<CL_DEVICE_COMPILER_AVAILABLE>())
+                devices.push_back(device);
+    }
+    std::stable_sort(devices.begin(), devices.end(), [](const cl::Device& a, const cl::Device& b) {
+        return preference(describe(a)) < preference(describe(b));
+    });
+    return devices;
+}
+
+cl::Device choose(const std::string& wanted) {
+    const std::vector<cl::Device> devices = all_devices();
+    if (devices.empty()) throw DeviceError("no OpenCL device: install pocl-opencl-icd or a GPU's driver");
+    if (wanted.empty() || wanted == "auto") return devices.front();
+    std::string names;
+    for (const cl::Device& device : devices) {
+        const DeviceInfo info = describe(device);
+        if (info.type == wanted || lower(info.name).find(lower(wanted)) != std::string::npos) return device;
+        names += (names.empty() ? "" : "; ") + info.name + " (" + info.type + ")";
+    }
+    throw DeviceError("no OpenCL device matches \"" + wanted + "\"; there are: " + names);
+}
+
+}  // namespace
+
+DeviceError device_error(const cl::Error& error) {
+    return DeviceError(std::string(error.what()) + " failed with OpenCL code " + std::to_string(error.err()));
+}
+
+std::string program_text(const Model& model, Precision precision, unsigned lanes) {
+    const auto part = [](std::string_view file, std::string_view text) {
+        return "#line 1 \"" + std::string(file) + "\"\n" + std::string(text) + "\n";
+    };
+    return "#define REAL_IS_DOUBLE " + std::string(precision == Precision::double_precision ? "1" : "0") +
+           "\n#define LANES " + std::to_string(lanes) + "\n" + part("prelude.cl", kPreludeText) +
+           part("geometry", geometry_prelude()) + part("special.cl", kSpecialText) +
+           part(model.file + " header", model.prelude) + part(model.file, model.text) +
+           part("residual.cl", kResidualText);
+}
+
+unsigned Engine::Impl::lanes(Precision precision) const {
+    if (forced_lanes) return *forced_lanes;
+    if (info.type != "cpu") return 1;
+    const unsigned native = precision == Precision::double_precision
+                                ? device.getInfo<CL_DEVICE_NATIVE_VECTOR_WIDTH_DOUBLE>()
+                                : device.getInfo<CL_DEVICE_NATIVE_VECTOR_WIDTH_FLOAT>();
+    for (const unsigned lanes : {16U, 8U, 4U, 2U})
+        if (native >= lanes) return lanes;
+    return 1;
+}
+
+cl::Program Engine::Impl::program(const Model& model, Precision precision) {
+    const std::string text = program_text(model, precision, lanes(precision));
+    const std::lock_guard lock(mutex);
+    if (const auto it = programs.find(text); it != programs.end()) return it->second;
+    try {
+        cl::Program program(context, text);
+        std::string options = "-cl-std=CL1.2";
+        if (precision == Precision::single_precision) {
+            options += " -cl-single-precision-constant";
+            if (device.getInfo<CL_DEVICE_SINGLE_FP_CONFIG>() & CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT)
+                options += " -cl-fp32-correctly-rounded-divide-sqrt";
+        }
+        program.build({device}, options.c_str());
+        programs.emplace(text, program);
+        return program;
+    } catch (const cl::BuildError& error) {
+        std::string log;
+        for (const auto& [device_, text_] : error.getBuildLog()) log += text_;
+        throw BuildError(model.file + " does not build for " + info.name + ":\n" + log);
+    } catch (const cl::Error& error) {
+        throw device_error(error);
+    }
+}
+
+Engine::Engine(const EngineOptions& options) : impl_(std::make_unique<Impl>()) {
+    try {
+        impl_->device = choose(options.device);
+        impl_->info = describe(impl_->device);
+        impl_->context = cl::Context(impl_->device);
+        impl_->forced_lanes = options.lanes;
+    } catch (const cl::Error& error) {
+        throw device_error(error);
+    }
+}
+
+Engine::~Engine() = default;
+
+const DeviceInfo& Engine::device() const { return impl_->info; }
+
+Precision Engine::best_precision() const {
+    return impl_->info.has_double ? Precision::double_precision : Precision::single_precision;
+}
+
+bool Engine::supports(Precision precision) const {
+    return precision == Precision::single_precision || impl_->info.has_double;
+}
+
+void Engine::prepare(const Model& model, Precision precision) { (void)impl_->program(model, precision); }
+
+std::vector<DeviceInfo> list_devices() {
+    std::vector<DeviceInfo> list;
+    for (const cl::Device& device : all_devices()) list.push_back(describe(device));
+    return list;
+}
+
+}  // namespace brdfit::kernels

@@ -1,0 +1,78 @@
+/// An OpenCL device and the programs built for it.
+#pragma once
+
+#include <memory>
+#include <optional>
+#include <stdexcept>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "kernels/model.h"
+
+namespace brdfit::kernels {
+
+/// Arithmetic of the kernels; the host computes in double.
+enum class Precision { single_precision, double_precision };
+
+struct DeviceInfo {
+    std::string name;
+    std::string platform;
+    std::string version;  ///< of the driver
+    std::string type;     ///< "cpu", "gpu" or "accelerator"
+    bool has_double = false;
+    unsigned compute_units = 1;
+
+    bool operator==(const DeviceInfo&) const = default;
+};
+
+/// No usable device, or an OpenCL call that failed; what() names the call and the code.
+class DeviceError : public std::runtime_error {
+public:
+    using std::runtime_error::runtime_error;
+};
+
+/// A model's text that the device's compiler refused; what() holds its log, which names the .cl file and the line.
+class BuildError : public std::runtime_error {
+public:
+    using std::runtime_error::runtime_error;
+};
+
+struct EngineOptions {
+    /// "auto" (a GPU with double precision, else a CPU, else any), "cpu", "gpu", or a part of the device's name.
+    std::string device = "auto";
+    /// Samples a work-item holds in a SIMD register: 1, 2, 4, 8 or 16. Unset: the device's native width, 1 on a GPU.
+    std::optional<unsigned> lanes{};
+};
+
+/// One device with a cache of programs by (model, precision). Safe to use from several threads; create the first one
+/// before other threads exist, as PoCL does not survive two threads making a process's first OpenCL call together.
+class Engine {
+public:
+    /// Throws DeviceError.
+    explicit Engine(const EngineOptions& options = {});
+    ~Engine();
+    Engine(const Engine&) = delete;
+    Engine& operator=(const Engine&) = delete;
+
+    [[nodiscard]] const DeviceInfo& device() const;
+    /// The most precise arithmetic the device has.
+    [[nodiscard]] Precision best_precision() const;
+    [[nodiscard]] bool supports(Precision precision) const;
+    /// Builds the program of the model unless it is cached. Throws BuildError, DeviceError.
+    void prepare(const Model& model, Precision precision);
+
+    struct Impl;
+    [[nodiscard]] Impl& impl() const { return *impl_; }
+
+private:
+    std::unique_ptr<Impl> impl_;
+};
+
+/// Every OpenCL device of this machine, in the order `auto` prefers them. Empty if there is none.
+std::vector<DeviceInfo> list_devices();
+
+/// The whole kernel text of a model, as it goes to the compiler.
+std::string program_text(const Model& model, Precision precision, unsigned lanes);
+
+}  // namespace brdfit::kernels

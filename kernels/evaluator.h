@@ -1,0 +1,59 @@
+/// A model on a set of samples: batches of candidate parameters in, losses, gradients and values out.
+#pragma once
+
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "kernels/engine.h"
+#include "kernels/geometry.h"
+#include "kernels/model.h"
+
+namespace brdfit::kernels {
+
+/// What one launch returns for a batch of B candidates of a model with P parameters and T terms.
+struct Batch {
+    std::vector<double> loss;            ///< B: sum of w r^2
+    std::vector<double> coefficients;    ///< B x T: the linear coefficients c
+    std::vector<double> by_coefficient;  ///< B x T: d loss/d c (0 where c is free between its bounds)
+    std::vector<double> by_parameter;    ///< B x P: d loss/d parameter at those c; 0 for linear parameters
+};
+
+/// Owns its queue, kernels and device buffers. Not for two threads at once; use one each.
+class Evaluator {
+public:
+    /// Residuals are r = f - y, with weight w >= 0; all three have one entry a sample. For `loss` with `logarithmic`
+    /// y is ln of the measured value. Throws BuildError, DeviceError.
+    Evaluator(Engine& engine, const Model& model, Precision precision, std::span<const Direction> directions,
+              std::span<const double> y, std::span<const double> w);
+    ~Evaluator();
+    Evaluator(Evaluator&&) noexcept;
+    Evaluator& operator=(Evaluator&&) noexcept;
+
+    /// For each candidate the coefficients within [lower, upper] (B x T) that minimise the loss, and the loss there.
+    /// parameters: B x P, linear ones ignored. Without `gradient` by_parameter is 0. Throws DeviceError.
+    void project(std::span<const double> parameters, std::span<const double> lower, std::span<const double> upper,
+                 bool gradient, Batch& out);
+    /// The loss at given coefficients (B x T). logarithmic: r = ln f - y. Throws DeviceError.
+    void loss(std::span<const double> parameters, std::span<const double> coefficients, bool logarithmic, Batch& out);
+    /// Every term and its slopes at every sample: B x V x samples, V = Model::term_values(), in the order of Terms.
+    /// Throws DeviceError.
+    [[nodiscard]] std::vector<double> terms(std::span<const double> parameters);
+
+    [[nodiscard]] const Model& model() const;
+    [[nodiscard]] std::size_t samples() const;
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+/// f = sum_t c_t phi_t [1/sr] of one candidate at each direction, and on request df/dp, P x directions.
+struct Values {
+    std::vector<double> f;
+    std::vector<double> by_parameter;
+};
+Values evaluate(Engine& engine, const Model& model, Precision precision, const std::vector<double>& parameters,
+                std::span<const Direction> directions, bool gradient);
+
+}  // namespace brdfit::kernels

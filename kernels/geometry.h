@@ -1,0 +1,37 @@
+/// Direction pairs, and the columns of numbers that kernels read for each.
+#pragma once
+
+#include <span>
+#include <string>
+#include <string_view>
+#include <vector>
+
+namespace brdfit::kernels {
+
+/// A pair of directions. Angles in degrees.
+struct Direction {
+    double theta_i_deg = 0;  ///< incidence, [0, 90)
+    double theta_r_deg = 0;  ///< exitance, (-90, 90); positive = specular side
+    double phi_deg = 0;      ///< azimuth of the exitant direction from the specular half-plane
+
+    bool operator==(const Direction&) const = default;
+};
+
+/// The same pair with |phi| <= 90 degrees: the form in which no column cancels. Models are isotropic, so the sign of
+/// phi does not matter.
+Direction canonical(const Direction& direction);
+
+/// One geometry column: a member of the kernels' struct Geometry.
+struct GeometryColumn {
+    std::string_view name;
+    std::string_view doc;
+    double (*value)(const Direction&);  ///< of a canonical direction, in double, without cancellation
+};
+
+/// All columns, in the order of the struct's members.
+std::span<const GeometryColumn> geometry_columns();
+
+/// The kernels' struct Geometry and the macro COLUMNS.
+std::string geometry_prelude();
+
+}  // namespace brdfit::kernels

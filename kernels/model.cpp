@@ -1,0 +1,447 @@
+#include "kernels/model.h"
+
+#include <algorithm>
+#include <cmath>
+#include <fstream>
+#include <iterator>
+#include <set>
+#include <sstream>
+
+#include <nlohmann/json.hpp>  // the header of a model file is JSON: the parser we have anyway
+
+#include "kernels/embedded.h"
+
+namespace brdfit::kernels {
+namespace {
+
+using nlohmann::json;
+
+constexpr std::string_view kOpening = "/*{";
+constexpr std::string_view kClosing = "}*/";
+
+[[noreturn]] void refuse(std::string_view file, const std::string& reason) {
+    throw ModelFileError(std::string(file) + ": " + reason);
+}
+
+bool is_identifier(std::string_view name) {
+    const auto ok = [](char c) { return (c >= 'a' && c <= 'z') || (c >= '0' && c <= '9') || c == '_'; };
+    return !name.empty() && name[0] >= 'a' && name[0] <= 'z' && std::all_of(name.begin(), name.end(), ok);
+}
+
+/// Reads members of a JSON object and refuses those nobody asked for.
+class Reader {
+public:
+    Reader(const json& object, std::string file, std::string where)
+        : object_(object), file_(std::move(file)), where_(std::move(where)) {
+        if (!object.is_object()) refuse(file_, where_ + " must be an object");
+    }
+
+    const json* optional(const char* key) {
+        asked_.insert(key);
+        const auto it = object_.find(key);
+        return it == object_.end() ? nullptr : &*it;
+    }
+    const json& required(const char* key) {
+        const json* value = optional(key);
+        if (value == nullptr) refuse(file_, where_ + " lacks \"" + key + "\"");
+        return *value;
+    }
+    std::string text(const char* key) {
+        const json& value = required(key);
+        if (!value.is_string()) refuse(file_, where_ + ": \"" + key + "\" must be a string");
+        return value.get<std::string>();
+    }
+    std::string identifier(const char* key) {
+        std::string value = text(key);
+        if (!is_identifier(value))
+            refuse(file_, where_ + ": \"" + key + "\" must be a lower-case identifier, not \"" + value + "\"");
+        return value;
+    }
+    double number(const char* key) {
+        const json& value = required(key);
+        if (!value.is_number()) refuse(file_, where_ + ": \"" + key + "\" must be a number");
+        return value.get<double>();
+    }
+    std::size_t count(const char* key, std::size_t least, std::size_t most) {
+        const double value = number(key);
+        if (value < static_cast<double>(least) || value > static_cast<double>(most) || value != std::floor(value))
+            refuse(file_, where_ + ": \"" + key + "\" must be a whole number from " + std::to_string(least) + " to " +
+                              std::to_string(most));
+        return static_cast<std::size_t>(value);
+    }
+    std::vector<std::string> texts(const char* key) {
+        const json* value = optional(key);
+        if (value == nullptr) return {};
+        if (!value->is_array()) refuse(file_, where_ + ": \"" + key + "\" must be an array of strings");
+        std::vector<std::string> result;
+        for (const json& item : *value) {
+            if (!item.is_string()) refuse(file_, where_ + ": \"" + key + "\" must be an array of strings");
+            result.push_back(item.get<std::string>());
+        }
+        return result;
+    }
+    /// [low, high]; null leaves a side as it is.
+    void interval(const char* key, double& low, double& high) {
+        const json* value = optional(key);
+        if (value == nullptr) return;
+        const auto bad = [](const json& v) { return !v.is_number() && !v.is_null(); };
+        if (!value->is_array() || value->size() != 2 || bad((*value)[0]) || bad((*value)[1]))
+            refuse(file_, where_ + ": \"" + key + "\" must be [low, high]");
+        if ((*value)[0].is_number()) low = (*value)[0].get<double>();
+        if ((*value)[1].is_number()) high = (*value)[1].get<double>();
+    }
+    void finish() const {
+        for (const auto& [key, value] : object_.items())
+            if (asked_.count(key) == 0) refuse(file_, where_ + " has the unknown key \"" + key + "\"");
+    }
+
+private:
+    const json& object_;
+    std::string file_;
+    std::string where_;
+    std::set<std::string> asked_;
+};
+
+Parameter read_parameter(const json& object, const std::string& file) {
+    Reader r(object, file, "a parameter");
+    Parameter p;
+    p.name = r.identifier("name");
+    p.unit = r.text("unit");
+    if (p.unit != "1" && p.unit != "wavelength") refuse(file, p.name + ": \"unit\" must be \"1\" or \"wavelength\"");
+    p.doc = r.text("doc");
+    p.min = r.number("min");
+    p.max = r.number("max");
+    r.interval("domain", p.domain_min, p.domain_max);
+    p.typical_min = p.min;
+    p.typical_max = p.max;
+    r.interval("typical", p.typical_min, p.typical_max);
+    const std::string scale = r.text("scale");
+    if (scale != "linear" && scale != "log") refuse(file, p.name + ": \"scale\" must be \"linear\" or \"log\"");
+    p.scale = scale == "log" ? Scale::logarithmic : Scale::linear;
+    r.finish();
+    if (!(p.domain_min <= p.min && p.min <= p.typical_min && p.typical_min < p.typical_max && p.typical_max <= p.max &&
+          p.max <= p.domain_max))
+        refuse(file, p.name + ": need domain min <= min <= typical min < typical max <= max <= domain max");
+    if (p.scale == Scale::logarithmic && !(p.min > 0)) refuse(file, p.name + ": a logarithmic scale needs min > 0");
+    return p;
+}
+
+/// A header, read but with its repeated group not yet multiplied.
+struct Header {
+    Model model;  // everything but terms, charts and special cases
+    std::vector<Parameter> group;
+    std::optional<Family::Repeat> repeat;
+    std::string order_by;
+    struct NamedTerm {
+        std::string name, factor;
+        std::vector<std::string> of, plane;
+        std::string degree;
+        double pole = 0;
+        bool repeated = false;
+    };
+    std::vector<NamedTerm> terms;
+    std::vector<std::vector<std::string>> charts;
+    std::vector<std::pair<std::string, std::map<std::string, double>>> special_cases;
+};
+
+bool in_group(const Header& header, const std::string& name) {
+    return std::any_of(header.group.begin(), header.group.end(), [&](const Parameter& p) { return p.name == name; });
+}
+
+void read_repeated(const json& object, const std::string& file, Header& header) {
+    Reader r(object, file, "\"repeated\"");
+    Family::Repeat repeat;
+    repeat.name = r.identifier("name");
+    repeat.option = r.identifier("option");
+    repeat.min = r.count("min", 1, 8);
+    repeat.max = r.count("max", repeat.min, 8);
+    repeat.auto_max = r.count("auto_max", repeat.min, repeat.max);
+    header.order_by = r.text("order_by");
+    for (const json& p : r.required("parameters")) header.group.push_back(read_parameter(p, file));
+    r.finish();
+    if (!in_group(header, header.order_by)) refuse(file, "\"order_by\" must name a parameter of the group");
+    header.repeat = repeat;
+}
+
+Header::NamedTerm read_term(const json& object, const std::string& file) {
+    Reader r(object, file, "a term");
+    Header::NamedTerm term;
+    term.name = r.identifier("name");
+    if (r.optional("factor") != nullptr) term.factor = r.text("factor");
+    term.of = r.texts("of");
+    if (const json* homogeneous = r.optional("homogeneous")) {
+        Reader h(*homogeneous, file, "\"homogeneous\"");
+        term.plane = h.texts("in");
+        term.degree = h.text("degree");
+        double x = 0;
+        double y = 0;
+        h.interval("pole", x, y);
+        if (x == 0 && y == 0) refuse(file, "\"homogeneous\" needs a \"pole\" [x, y] other than [0, 0]");
+        term.pole = std::atan2(y, x);
+        h.finish();
+        const auto depends = [&](const std::string& name) {
+            return std::find(term.of.begin(), term.of.end(), name) != term.of.end();
+        };
+        if (term.plane.size() != 2 || !depends(term.plane[0]) || !depends(term.plane[1]) || !depends(term.degree) ||
+            !term.factor.empty())
+            refuse(file, "\"homogeneous\" needs two parameters and a degree the term depends on, and no factor");
+    }
+    r.finish();
+    return term;
+}
+
+Header read_header(const json& object, const std::string& file) {
+    Header header;
+    Reader r(object, file, "the header");
+    header.model.title = r.text("title");
+    header.model.source = r.text("source");
+    header.model.formula = r.text("formula");
+    for (const json& p : r.required("parameters")) header.model.parameters.push_back(read_parameter(p, file));
+    if (const json* repeated = r.optional("repeated")) read_repeated(*repeated, file, header);
+    for (const json& t : r.required("terms")) header.terms.push_back(read_term(t, file));
+    if (header.terms.empty()) refuse(file, "\"terms\" is empty");
+    if (const json* charts = r.optional("charts"))
+        for (const json& c : *charts) {
+            Reader chart(c, file, "a chart");
+            if (chart.text("kind") != "complex_index") refuse(file, "a chart's \"kind\" must be \"complex_index\"");
+            header.charts.push_back(chart.texts("parameters"));
+            chart.finish();
+            if (header.charts.back().size() != 2) refuse(file, "\"complex_index\" needs two parameters: n and k");
+        }
+    if (const json* cases = r.optional("special_cases"))
+        for (const json& c : *cases) {
+            Reader special(c, file, "a special case");
+            std::map<std::string, double> fixed;
+            for (const auto& [name, value] : special.required("fixed").items()) {
+                if (!value.is_number()) refuse(file, "a special case fixes parameters to numbers");
+                fixed[name] = value.get<double>();
+            }
+            header.special_cases.emplace_back(special.text("name"), fixed);
+            special.finish();
+        }
+    if (const json* traits = r.optional("traits"))
+        for (const auto& [name, value] : traits->items()) {
+            if (!value.is_boolean()) refuse(file, "\"traits\" are true or false");
+            header.model.traits[name] = value.get<bool>();
+        }
+    r.finish();
+    return header;
+}
+
+std::size_t index_of(const Model& model, const std::string& name, std::string_view file) {
+    const auto index = model.find(name);
+    if (!index) refuse(file, "there is no parameter \"" + name + "\"");
+    return *index;
+}
+
+/// The generated part of the kernel text: structs and tables that follow from the header.
+std::string generate_prelude(const Model& model, const Header& header) {
+    std::ostringstream out;
+    std::string macro;
+    if (header.repeat) {
+        macro = header.repeat->option;
+        std::transform(macro.begin(), macro.end(), macro.begin(),
+                       [](char c) { return c >= 'a' && c <= 'z' ? static_cast<char>(c - 'a' + 'A') : c; });
+        out << "#define " << macro << ' ' << model.repeats << '\n';
+    }
+    out << "typedef struct {\n";
+    for (const Parameter& p : header.model.parameters) out << "    real " << p.name << ";\n";
+    if (header.repeat) {
+        out << "    struct {\n        real";
+        for (std::size_t i = 0; i < header.group.size(); ++i) out << (i ? ", " : " ") << header.group[i].name;
+        out << ";\n    } " << header.repeat->name << '[' << macro << "];\n";
+    }
+    out << "} Params;\ntypedef struct {\n";
+    for (const Header::NamedTerm& term : header.terms) {
+        out << "    struct {\n        real value";
+        for (const std::string& name : term.of) out << ", " << name;
+        out << ";\n    } " << term.name;
+        if (term.repeated) out << '[' << macro << ']';
+        out << ";\n";
+    }
+    out << "} Terms;\n";
+
+    std::ostringstream values, slope_terms, slope_values, slope_parameters;
+    std::size_t value = 0;
+    std::size_t slopes = 0;
+    for (std::size_t t = 0; t < model.terms.size(); ++t) {
+        values << value++ << ',';
+        for (const std::size_t parameter : model.terms[t].of) {
+            slope_terms << t << ',';
+            slope_values << value++ << ',';
+            slope_parameters << parameter << ',';
+            ++slopes;
+        }
+    }
+    const auto table = [&](const char* name, const std::ostringstream& entries) {
+        out << "constant int " << name << "[] = {" << (entries.str().empty() ? "0" : entries.str()) << "};\n";
+    };
+    out << "#define PARAMETERS " << model.parameters.size() << "\n#define TERMS " << model.terms.size()
+        << "\n#define TERM_VALUES " << value << "\n#define SLOPES " << slopes << '\n';
+    table("term_value", values);
+    table("slope_term", slope_terms);
+    table("slope_value", slope_values);
+    table("slope_parameter", slope_parameters);
+    return out.str();
+}
+
+Model make_variant(const Header& header, std::size_t repeats, const std::string& file) {
+    Model model = header.model;
+    model.repeats = repeats;
+    const auto suffixed = [](const std::string& name, std::size_t j) { return name + "_" + std::to_string(j + 1); };
+    model.group_begin = model.parameters.size();
+    model.group_size = header.group.size();
+    for (std::size_t i = 0; i < header.group.size(); ++i)
+        if (header.group[i].name == header.order_by) model.order_by = i;
+    for (std::size_t j = 0; j < repeats; ++j)
+        for (Parameter p : header.group) {
+            p.name = suffixed(p.name, j);
+            p.repeat = j;
+            model.parameters.push_back(std::move(p));
+        }
+    std::set<std::string> seen;
+    for (const Parameter& p : model.parameters)
+        if (!seen.insert(p.name).second) refuse(file, "parameter \"" + p.name + "\" stands twice");
+
+    for (const Header::NamedTerm& named : header.terms)
+        for (std::size_t j = 0; j < (named.repeated ? repeats : 1); ++j) {
+            const auto resolve = [&](const std::string& name) {
+                return index_of(model, in_group(header, name) ? suffixed(name, j) : name, file);
+            };
+            Term term;
+            term.name = named.repeated ? suffixed(named.name, j) : named.name;
+            if (!named.factor.empty()) term.factor = resolve(named.factor);
+            for (const std::string& name : named.of) term.of.push_back(resolve(name));
+            if (!named.plane.empty())
+                term.homogeneous = Term::Homogeneous{
+                    {resolve(named.plane[0]), resolve(named.plane[1])}, resolve(named.degree), named.pole};
+            model.terms.push_back(std::move(term));
+        }
+    for (std::size_t i = 0; i < model.parameters.size(); ++i) {
+        std::size_t factors = 0;
+        bool used = false;
+        for (const Term& term : model.terms) {
+            if (term.factor == i) ++factors;
+            used = used || std::find(term.of.begin(), term.of.end(), i) != term.of.end();
+        }
+        if (factors + (used ? 1 : 0) != 1)
+            refuse(file, "parameter \"" + model.parameters[i].name +
+                             "\" must be the factor of one term, or one that terms depend on");
+    }
+    for (const auto& names : header.charts)
+        model.charts.push_back(
+            {Chart::Kind::complex_index, {index_of(model, names[0], file), index_of(model, names[1], file)}});
+    for (const auto& [name, fixed] : header.special_cases) {
+        SpecialCase special{name, {}};
+        for (const auto& [parameter, value] : fixed) special.fixed[index_of(model, parameter, file)] = value;
+        model.special_cases.push_back(std::move(special));
+    }
+    model.prelude = generate_prelude(model, header);
+    return model;
+}
+
+}  // namespace
+
+std::optional<std::size_t> Model::find(std::string_view parameter) const {
+    for (std::size_t i = 0; i < parameters.size(); ++i)
+        if (parameters[i].name == parameter) return i;
+    return std::nullopt;
+}
+
+bool Model::is_linear(std::size_t parameter) const {
+    return std::any_of(terms.begin(), terms.end(), [&](const Term& t) { return t.factor == parameter; });
+}
+
+std::size_t Model::term_values() const {
+    std::size_t values = 0;
+    for (const Term& term : terms) values += 1 + term.of.size();
+    return values;
+}
+
+std::vector<double> Model::coefficients(const std::vector<double>& values) const {
+    std::vector<double> c;
+    c.reserve(terms.size());
+    for (const Term& term : terms) c.push_back(term.factor ? values.at(*term.factor) : 1.0);
+    return c;
+}
+
+const Model& Family::variant(std::size_t repeats) const {
+    return repeat ? variants.at(repeats - repeat->min) : variants.at(0);
+}
+
+Family parse_family(std::string_view name, std::string_view file_view, std::string_view text) {
+    const std::string file(file_view);
+    if (!is_identifier(name)) refuse(file, "the file's name must be a lower-case identifier");
+    const auto end = text.find(kClosing);
+    if (!text.starts_with(kOpening) || end == std::string_view::npos)
+        refuse(file, "must begin with a JSON header between /* and */: /*{ ... }*/");
+    const json object = json::parse(text.substr(2, end - 1), nullptr, false);
+    if (object.is_discarded()) {
+        std::string reason = "the header is not JSON";
+        try {
+            const json parsed = json::parse(text.substr(2, end - 1));
+        } catch (const json::parse_error& error) {
+            reason += std::string(": ") + error.what();
+        }
+        refuse(file, reason);
+    }
+    Header header = read_header(object, file);
+    header.model.name = std::string(name);
+    header.model.file = file;
+    header.model.text = std::string(text);
+    for (Header::NamedTerm& term : header.terms)
+        term.repeated =
+            std::any_of(term.of.begin(), term.of.end(), [&](const auto& n) { return in_group(header, n); }) ||
+            in_group(header, term.factor);
+
+    Family family;
+    family.name = std::string(name);
+    family.repeat = header.repeat;
+    if (!header.repeat) family.variants.push_back(make_variant(header, 0, file));
+    else
+        for (std::size_t repeats = header.repeat->min; repeats <= header.repeat->max; ++repeats)
+            family.variants.push_back(make_variant(header, repeats, file));
+    return family;
+}
+
+Catalogue::Catalogue(const std::vector<std::filesystem::path>& folders) {
+    for (const EmbeddedModel& model : embedded_models())
+        add(parse_family(model.name, "models/" + std::string(model.name) + ".cl", model.text));
+    std::stable_sort(families_.begin(), families_.end(), [](const Family& a, const Family& b) {
+        return a.variants.front().parameters.size() < b.variants.front().parameters.size();
+    });
+    for (const auto& folder : folders) {
+        std::error_code error;
+        std::vector<std::filesystem::path> files;
+        for (const auto& entry : std::filesystem::directory_iterator(folder, error))
+            if (entry.path().extension() == ".cl") files.push_back(entry.path());
+        if (error) throw ModelFileError(folder.string() + ": " + error.message());
+        std::sort(files.begin(), files.end());
+        for (const auto& file : files) {
+            std::ifstream in(file, std::ios::binary);
+            const std::string text{std::istreambuf_iterator<char>(in), {}};
+            if (!in) throw ModelFileError(file.string() + ": cannot be read");
+            add(parse_family(file.stem().string(), file.filename().string(), text));
+        }
+    }
+}
+
+void Catalogue::add(Family family) {
+    if (find(family.name) != nullptr)
+        throw ModelFileError(family.variants.front().file + ": there is a model of that name already");
+    families_.push_back(std::move(family));
+}
+
+const Family* Catalogue::find(std::string_view name) const {
+    for (const Family& family : families_)
+        if (family.name == name) return &family;
+    return nullptr;
+}
+
+std::string Catalogue::names() const {
+    std::string names;
+    for (const Family& family : families_) names += (names.empty() ? "" : ", ") + family.name;
+    return names;
+}
+
+}  // namespace brdfit::kernels

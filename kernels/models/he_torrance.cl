@@ -1,0 +1,194 @@
+/*{
+  "title": "He-Torrance: physical optics of a rough surface, unpolarised, with a uniform diffuse term",
+  "source": "He, Torrance, Sillion, Greenberg 1991, corrected as in docs/numerics.md; without the ideal specular spike",
+  "formula": "f = rho_ud/pi + F(theta_d) G S(theta_i) S(theta_r) D / (pi cos theta_i cos theta_r)",
+  "parameters": [
+    {"name": "sigma", "unit": "wavelength", "min": 1e-3, "max": 20, "domain": [1e-6, null], "typical": [0.02, 4],
+     "scale": "log", "doc": "rms height of the surface"},
+    {"name": "tau", "unit": "wavelength", "min": 0.1, "max": 200, "domain": [1e-9, null], "typical": [0.5, 60],
+     "scale": "log", "doc": "autocorrelation length of the surface"},
+    {"name": "n", "unit": "1", "min": 0.05, "max": 20, "domain": [1e-6, null], "scale": "log",
+     "doc": "real part of the refractive index"},
+    {"name": "k", "unit": "1", "min": 0, "max": 20, "domain": [0, null], "scale": "linear",
+     "doc": "imaginary part of the refractive index"},
+    {"name": "rho_ud", "unit": "1", "min": 0, "max": 1, "domain": [0, null], "scale": "linear",
+     "doc": "albedo of the uniform diffuse part"}
+  ],
+  "terms": [
+    {"name": "diffuse", "factor": "rho_ud"},
+    {"name": "lobe", "of": ["sigma", "tau", "n", "k"]}
+  ],
+  "charts": [{"kind": "complex_index", "parameters": ["n", "k"]}],
+  "special_cases": [{"name": "real index", "fixed": {"k": 0}}],
+  "traits": {"reciprocal": true, "energy_conserving": false}
+}*/
+
+/* Shadowing S1 of one direction, K = tan theta erfc(h), and their slopes by ln h; h = tau cot theta / (2 sigma). */
+typedef struct {
+    real S, S_slope; /* S1 and d ln S1/d ln h */
+    real K, K_slope; /* K and d K/d ln h */
+} Shadow;
+
+inline Shadow shadow(real tan_theta, real slope) {
+    Shadow t;
+    /* Beyond h = 30 the surface is flat to this direction in every digit. */
+    const real h = fmin(slope / (2.0 * fmax(tan_theta, (real)TINY)), (real)30.0);
+    const real E = exp(-sqr(h));
+    const real erfc_h = E * erfcx(h);
+    const real x = sqrt((real)PI) * h * (2.0 - erfc_h);
+    t.S = x / (x + E);
+    t.S_slope = E / (x + E) + 2.0 * sqr(h) * E / x;
+    t.K = tan_theta * erfc_h;
+    t.K_slope = -2.0 / sqrt((real)PI) * tan_theta * h * E;
+    return t;
+}
+
+/* Unpolarised Fresnel reflectance at theta_d for the index n + ik, and its slopes. */
+typedef struct {
+    real F, F_n, F_k;
+} Fresnel;
+
+inline Fresnel fresnel(real n, real k, real cd2, real sd2) {
+    Fresnel t;
+    const real c = sqrt(cd2);
+    const real A = n * n - k * k - sd2;
+    const real nk = n * k;
+    const real B = sqrt(sqr(A) + 4.0 * sqr(nk));
+    /* q = sqrt((n + ik)^2 - sin^2 theta_d) = a + ib: the larger of a^2, b^2 by its formula, the other by a b = n k. */
+    const real large = fmax(0.5 * (B + fabs(A)), (real)TINY);
+    const real small = sqr(nk) / large;
+    const real a2 = sel(A >= 0.0, large, small);
+    const real b2 = sel(A >= 0.0, small, large);
+    const real a = sqrt(a2);
+    const real b = sqrt(b2);
+
+    const real difference = ((n - 1.0) * (n + 1.0) - k * k + b2) / (a + c); /* a - c, exact near n = 1 */
+    const real sum2 = sqr(a + c) + b2;
+    const real Rs = (sqr(difference) + b2) / sum2;
+    const real p_over_s = (sqr(a * c - sd2) + b2 * cd2) / (sqr(a * c + sd2) + b2 * cd2);
+    t.F = 0.5 * Rs * (1.0 + p_over_s);
+
+    /* r_s = (c - q)/(c + q), r_p = -r_s (q c - s^2)/(q c + s^2); dF/dN = conj(r_s) r_s' + conj(r_p) r_p'. */
+    const complex_real N = complex_of(n, k);
+    const complex_real q = complex_of(a, b);
+    const complex_real N2 = complex_of((n - k) * (n + k), 2.0 * nk);
+    const complex_real c_q = complex_of(c + a, b);
+    const complex_real r_s = complex_over(complex_of(-difference, -b), c_q);
+    const complex_real ratio = complex_over(complex_of(a * c - sd2, b * c), complex_of(a * c + sd2, b * c));
+    const complex_real minus_r_p = complex_times(r_s, ratio);
+    /* r_s' = -2 c N/(q (c+q)^2), r_p' = 2 c N (N^2 - 2 s^2)/(q (N^2 c + q)^2) */
+    const complex_real N_q = complex_over(N, q);
+    const complex_real s_slope = complex_over(complex_over(N_q, c_q), c_q);
+    const complex_real p_base = complex_of(N2.re * c + a, N2.im * c + b);
+    const complex_real p_slope = complex_times(complex_of(N2.re - 2.0 * sd2, N2.im),
+                                               complex_over(complex_over(N_q, p_base), p_base));
+    /* Z = -2c (conj(r_s) s_slope + conj(-r_p) p_slope); dF/dn = Re Z, dF/dk = -Im Z */
+    const real re = r_s.re * s_slope.re + r_s.im * s_slope.im + minus_r_p.re * p_slope.re + minus_r_p.im * p_slope.im;
+    const real im = r_s.re * s_slope.im - r_s.im * s_slope.re + minus_r_p.re * p_slope.im - minus_r_p.im * p_slope.re;
+    t.F_n = -2.0 * c * re;
+    t.F_k = 2.0 * c * im;
+    return t;
+}
+
+/* Sums over m >= 1 of the Poisson weights t_m = e^-g g^m/m! e^(-a/m):
+ * M1 = sum t_m/m, M2 = sum t_m/m^2 = -dM1/da, Q = sum t_m (m - g)/m = g dM1/dg. */
+typedef struct {
+    real M1, M2, Q;
+} Series;
+
+inline Series poisson_series(real g, real a) {
+    Series t;
+    t.M1 = 0.0;
+    t.M2 = 0.0;
+    t.Q = 0.0;
+
+    /* Mode: ln(m/g) = a/m^2. The function is concave and rising: Newton's steps converge from the left. */
+    const real m_upper = 0.5 * (g + sqrt(sqr(g) + 4.0 * a));
+    const real ratio = m_upper / g;
+    real mode = sel(ratio > 2.718281828, fmax(g, sqrt(a / log(fmax(ratio, (real)2.7)))), m_upper);
+    for (int step = 0; step < 3; ++step) {
+        const real a_m2 = a / mode / mode;
+        mode = fmax(mode - mode * (log(mode / g) - a_m2) / (1.0 + 2.0 * a_m2), mode / 3.0);
+    }
+    const real width = sqrt(mode / (1.0 + 2.0 * (a / mode / mode)));
+    mode = fmax(mode, (real)1.0);
+    const mask seen = poisson_deviance(mode, g) + a / mode < EXP_MIN; /* else every term underflows */
+    if (!any_lane(seen)) return t;
+
+    /* The window that holds all but eps of the sum, log_epsilon = ln(1/eps); its upper end is a Bernstein bound. */
+    const real L = LOG_EPSILON;
+    const real low = mode - sqrt(2.0 * L * mode) - 1.0;
+    const real high = mode + L / 3.0 + sqrt(sqr(L) / 9.0 + 2.0 * L * mode);
+
+    /* A window from m = 1: the terms by their recurrence. */
+    const mask direct = seen & (low < 2.0);
+    if (any_lane(direct)) {
+        real weight = sel(direct, g * exp(-g), 0.0);
+        real m = 1.0;
+        while (any_lane(direct & (m <= high + 1.0))) {
+            const real inverse = 1.0 / m;
+            const real term = weight * exp(-a * inverse) * inverse;
+            t.M1 += term;
+            t.M2 += term * inverse;
+            t.Q += term * (m - g);
+            m += 1.0;
+            weight *= g / m;
+        }
+    }
+
+    /* A smooth bell: every stride-th term times the stride (Poisson summation), each in its saddle-point form. For Q,
+     * sum t_m (m - g)/m cancels; as the integral of dt/dm vanishes over the bell, the logarithmic derivative of t_m
+     * may be taken off and leaves terms of the order of the sum. Where the bell is narrow (g << m) nothing cancels. */
+    const mask bell = seen & (low >= 2.0);
+    if (any_lane(bell)) {
+        const real stride = fmax(floor(width * (4.0 / sqrt(L))), (real)1.0);
+        const mask smooth = width > 2.0;
+        real m = sel(bell, floor(low), 1.0);
+        mask active = bell;
+        while (any_lane(active)) {
+            const real inverse = 1.0 / m;
+            const real z = sqr(inverse);
+            const real deviance = poisson_deviance(m, g);
+            const real stirling =
+                inverse * (1.0 / 12.0 -
+                           z * (1.0 / 360.0 - z * (1.0 / 1260.0 - z * (1.0 / 1680.0 - z * (1.0 / 1188.0)))));
+            const real stirling_slope = inverse * (1.0 / 12.0 - z * (1.0 / 120.0 - z * (1.0 / 252.0)));
+            const real density = stride * exp(-deviance - a * inverse - stirling) / sqrt(2.0 * PI * m);
+            const real term = sel(active, density * inverse, 0.0);
+            t.M1 += term;
+            t.M2 += term * inverse;
+            t.Q += term * sel(smooth, a * inverse - deviance - 0.5 + stirling_slope, m - g);
+            m += stride;
+            active = active & (m <= high);
+        }
+    }
+    return t;
+}
+
+void brdf(Params p, Geometry s, Terms *f) {
+    f->diffuse.value = 1.0 / PI;
+
+    const real slope = p.tau / p.sigma;
+    const Shadow in = shadow(s.ti, slope);
+    const Shadow out = shadow(s.tr, slope);
+
+    /* Effective roughness: sigma_e^2 = sigma^2/(1 + W), W e^W = (K_i + K_r)^2/(8 pi). */
+    const real K = in.K + out.K;
+    const real c = fmax(K, (real)TINY) / sqrt((real)(8.0 * PI));
+    const real W = lambert_w(sqr(c), 2.0 * log(c));
+    const real l = -2.0 * W / sqr(1.0 + W) * ((in.K_slope + out.K_slope) / fmax(K, (real)TINY)); /* d ln sigma_e^2/d ln h */
+
+    const real g = fmax(sqr(2.0 * PI * p.sigma * s.cs) / (1.0 + W), (real)1e-30); /* keeps m/g finite */
+    const real T = sqr(PI * p.tau);
+    const Series M = poisson_series(g, T * s.w);
+    const Fresnel F = fresnel(p.n, p.k, s.cd2, s.sd2);
+
+    const real G = sqr(4.0 * s.cd2 / s.cs);
+    const real base = G * (in.S / s.ci) * (out.S / s.cr) * (T / (4.0 * PI));
+    const real shadows = M.M1 * (in.S_slope + out.S_slope);
+    f->lobe.value = base * F.F * M.M1;
+    f->lobe.sigma = base * F.F * (M.Q * (2.0 - l) - shadows) / p.sigma;
+    f->lobe.tau = base * F.F * (2.0 * M.M1 - 2.0 * T * s.w * M.M2 + M.Q * l + shadows) / p.tau;
+    f->lobe.n = base * M.M1 * F.F_n;
+    f->lobe.k = base * M.M1 * F.F_k;
+}

@@ -1,0 +1,39 @@
+/*{
+  "title": "Lafortune generalised cosine lobes, isotropic, on a Lambertian base",
+  "source": "Lafortune, Foo, Torrance, Greenberg 1997, in the form of Westin, Li, Torrance 2004",
+  "formula": "f = k_d/pi + sum_j max(0, c_xy_j (u_x v_x + u_y v_y) + c_z_j u_z v_z)^n_j",
+  "parameters": [
+    {"name": "k_d", "unit": "1", "min": 0, "max": 1, "domain": [0, null], "scale": "linear", "doc": "diffuse albedo"}
+  ],
+  "repeated": {
+    "name": "lobe", "option": "lobes", "min": 1, "max": 3, "auto_max": 2, "order_by": "n",
+    "parameters": [
+      {"name": "c_xy", "unit": "1", "min": -3, "max": 3, "scale": "linear",
+       "doc": "coefficient of the tangential product; negative for a forward lobe, positive for a retro-reflective one"},
+      {"name": "c_z", "unit": "1", "min": -3, "max": 3, "scale": "linear", "doc": "coefficient of the normal product"},
+      {"name": "n", "unit": "1", "min": 0.01, "max": 1e4, "domain": [0, null], "typical": [1, 3e3], "scale": "log",
+       "doc": "exponent of the lobe"}
+    ]
+  },
+  "terms": [
+    {"name": "diffuse", "factor": "k_d"},
+    {"name": "lobe", "of": ["c_xy", "c_z", "n"], "homogeneous": {"in": ["c_xy", "c_z"], "degree": "n", "pole": [-1, 1]}}
+  ],
+  "traits": {"reciprocal": true, "energy_conserving": false}
+}*/
+
+void brdf(Params p, Geometry s, Terms *f) {
+    f->diffuse.value = 1.0 / PI;
+    for (int j = 0; j < LOBES; ++j) {
+        const real b = p.lobe[j].c_xy * s.hxy + p.lobe[j].c_z * s.hz;
+        const mask lit = b > 0.0;
+        const real base = sel(lit, b, 1.0);
+        const real l = log(base);
+        const real v = sel(lit, exp(fmin(p.lobe[j].n * l, (real)EXP_MAX)), 0.0); /* saturates instead of overflowing */
+        const real slope = p.lobe[j].n * (v / base);
+        f->lobe[j].value = v;
+        f->lobe[j].c_xy = slope * s.hxy;
+        f->lobe[j].c_z = slope * s.hz;
+        f->lobe[j].n = v * l;
+    }
+}

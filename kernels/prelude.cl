@@ -1,0 +1,63 @@
+/* Vocabulary of every kernel text: `real` is one value per lane, `scalar` one value.
+ *
+ * The host defines REAL_IS_DOUBLE and LANES (1 on a GPU, a SIMD width on a CPU) before this text. The same text
+ * compiles as C++ behind tests/host_kernel.h, so it keeps to functions, structs of `real` and the names below. */
+#ifdef __OPENCL_VERSION__
+
+#define PASTE_(a, b) a##b
+#define PASTE(a, b) PASTE_(a, b)
+
+#if REAL_IS_DOUBLE
+typedef double scalar;
+typedef long mask_scalar;
+#else
+typedef float scalar;
+typedef int mask_scalar;
+#endif
+
+#if LANES == 1
+typedef scalar real;
+typedef int mask;
+#define sel(condition, yes, no) ((condition) ? (real)(yes) : (real)(no))
+#define any_lane(condition) (condition)
+#define load_lanes(pointer) (*(pointer))
+#define store_lanes(value, pointer) (*(pointer) = (value))
+inline scalar sum_lanes(real x) { return x; }
+#else
+#if REAL_IS_DOUBLE
+typedef PASTE(double, LANES) real;
+typedef PASTE(long, LANES) mask;
+#else
+typedef PASTE(float, LANES) real;
+typedef PASTE(int, LANES) mask;
+#endif
+#define sel(condition, yes, no) select((real)(no), (real)(yes), (condition))
+#define any_lane(condition) any(condition)
+#define load_lanes(pointer) PASTE(vload, LANES)(0, (pointer))
+#define store_lanes(value, pointer) PASTE(vstore, LANES)((value), 0, (pointer))
+inline scalar sum_lanes(real x) {
+    scalar part[LANES];
+    store_lanes(x, part);
+    for (int width = LANES / 2; width > 0; width /= 2)  // pairwise: the order is fixed, the error small
+        for (int i = 0; i < width; ++i) part[i] += part[i + width];
+    return part[0];
+}
+#endif
+
+#endif
+
+#define PI 3.14159265358979323846
+
+#if REAL_IS_DOUBLE
+#define EXP_MAX 709.0    /* exp does not overflow below */
+#define EXP_MIN 745.0    /* exp(-x) is 0 beyond */
+#define TINY 1e-300      /* keeps a quotient finite where its numerator is 0 */
+#define LOG_EPSILON 37.5 /* ln(1/eps) to which series are summed */
+#define COLLINEAR 1e-13  /* unit columns closer than this, squared, count as one */
+#else
+#define EXP_MAX 88.0
+#define EXP_MIN 104.0
+#define TINY 1e-37
+#define LOG_EPSILON 17.0
+#define COLLINEAR 1e-6
+#endif

@@ -1,0 +1,293 @@
+/* The skeleton around a model: it owns the loops over samples, the reduction and the linear coefficients; the model's
+ * brdf() sees one sample (one per lane).
+ *
+ * f = sum_t c_t phi_t(sample; theta). The host generates, before this text, from the model's header and the geometry
+ * table: structs Params, Geometry and Terms (all members `real`), their sizes PARAMETERS, COLUMNS and TERM_VALUES, the
+ * number of terms TERMS, and the tables term_value (index of phi_t in Terms), slope_term, slope_value and
+ * slope_parameter (for each of SLOPES derivatives: its term, its index in Terms, its parameter).
+ *
+ * Shapes: columns COLUMNS x samples, y and w samples (samples is a multiple of LANES, padding has w = 0);
+ * parameters candidates x PARAMETERS; coefficients, lower, upper candidates x TERMS;
+ * out candidates x (1 + 2 TERMS + PARAMETERS) = loss, c, d loss/d c, d loss/d parameters. */
+
+#define OUT_STRIDE (1 + 2 * TERMS + PARAMETERS)
+
+inline Params broadcast_parameters(global const scalar *parameters) {
+    Params p;
+    real *value = (real *)&p;
+    for (int i = 0; i < PARAMETERS; ++i) value[i] = (real)(parameters[i]);
+    return p;
+}
+
+inline Geometry load_geometry(global const scalar *columns, int samples, int first) {
+    Geometry s;
+    real *value = (real *)&s;
+    for (int i = 0; i < COLUMNS; ++i) value[i] = load_lanes(columns + i * samples + first);
+    return s;
+}
+
+/* Minimises c'Gc/2 - b'c within lower <= c <= upper: active sets after Stark and Parker, exact for the few unknowns of
+ * a model. gram: upper triangle, row by row, scaled in place to a unit diagonal. */
+inline int gram_index(int row, int column) {
+    const int i = row < column ? row : column;
+    const int j = row < column ? column : row;
+    return i * TERMS - i * (i - 1) / 2 + (j - i);
+}
+
+/* Solves the free unknowns with the others held; a direction the data do not see is held as well. */
+inline void solve_free(const scalar *gram, const scalar *b, const scalar *c, int *is_free, scalar *z) {
+    scalar m[TERMS][TERMS];
+    scalar v[TERMS];
+    for (int i = 0; i < TERMS; ++i) {
+        v[i] = b[i];
+        for (int j = 0; j < TERMS; ++j) {
+            const int both = is_free[i] && is_free[j];
+            m[i][j] = both ? gram[gram_index(i, j)] : (scalar)(i == j ? 1.0 : 0.0);
+            if (is_free[i] && !is_free[j]) v[i] -= gram[gram_index(i, j)] * c[j];
+        }
+        if (!is_free[i]) v[i] = c[i];
+    }
+    for (int i = 0; i < TERMS; ++i) { /* Cholesky: m becomes L */
+        for (int j = 0; j <= i; ++j) {
+            scalar sum = m[i][j];
+            for (int k = 0; k < j; ++k) sum -= m[i][k] * m[j][k];
+            if (i != j)
+                m[i][j] = sum / m[j][j];
+            else if (sum > COLLINEAR)
+                m[i][i] = sqrt(sum);
+            else { /* collinear with the unknowns before it: hold it where it is */
+                is_free[i] = 0;
+                m[i][i] = 1.0;
+                for (int k = 0; k < i; ++k) {
+                    v[k] -= gram[gram_index(i, k)] * c[i] * (scalar)is_free[k];
+                    m[i][k] = 0.0;
+                }
+                for (int k = i + 1; k < TERMS; ++k) {
+                    if (is_free[k]) v[k] -= gram[gram_index(i, k)] * c[i];
+                    m[k][i] = 0.0;
+                }
+                v[i] = c[i];
+            }
+        }
+    }
+    for (int i = 0; i < TERMS; ++i) {
+        scalar sum = v[i];
+        for (int k = 0; k < i; ++k) sum -= m[i][k] * z[k];
+        z[i] = sum / m[i][i];
+    }
+    for (int i = TERMS - 1; i >= 0; --i) {
+        scalar sum = z[i];
+        for (int k = i + 1; k < TERMS; ++k) sum -= m[k][i] * z[k];
+        z[i] = sum / m[i][i];
+    }
+}
+
+inline void solve_bounded(scalar *gram, scalar *b, const scalar *lower, const scalar *upper, scalar *c) {
+    scalar size[TERMS], low[TERMS], high[TERMS];
+    int is_free[TERMS], blocked[TERMS];
+    for (int i = 0; i < TERMS; ++i) size[i] = sqrt(gram[gram_index(i, i)]);
+    for (int i = 0; i < TERMS; ++i) {
+        const int seen = size[i] > 0.0;
+        for (int j = i; j < TERMS; ++j) {
+            const scalar scale = size[i] * size[j];
+            gram[gram_index(i, j)] = scale > 0.0 ? gram[gram_index(i, j)] / scale : (scalar)0.0;
+        }
+        b[i] = seen ? b[i] / size[i] : (scalar)0.0;
+        low[i] = lower[i] * size[i];
+        high[i] = upper[i] * size[i];
+        c[i] = fmin(fmax((scalar)0.0, low[i]), high[i]);
+        is_free[i] = 0;
+        blocked[i] = !seen || !(low[i] < high[i]);
+    }
+    scalar b_norm = 0.0;
+    for (int i = 0; i < TERMS; ++i) b_norm = fmax(b_norm, fabs(b[i]));
+
+    for (int round = 0; round < 6 * TERMS; ++round) {
+        /* Free the unknown whose bound costs most. */
+        int best = -1;
+        scalar best_pull = b_norm * COLLINEAR;
+        for (int i = 0; i < TERMS; ++i) {
+            if (is_free[i] || blocked[i]) continue;
+            scalar pull = b[i];
+            for (int j = 0; j < TERMS; ++j) pull -= gram[gram_index(i, j)] * c[j];
+            if (c[i] >= high[i]) pull = -pull;
+            else if (c[i] > low[i]) pull = fabs(pull);
+            if (pull > best_pull) {
+                best_pull = pull;
+                best = i;
+            }
+        }
+        if (best < 0) break;
+        is_free[best] = 1;
+        for (int inner = 0; inner <= TERMS; ++inner) {
+            scalar z[TERMS];
+            const int was_free = is_free[best];
+            solve_free(gram, b, c, is_free, z);
+            if (was_free && !is_free[best]) blocked[best] = 1; /* collinear: do not free it again */
+            scalar step = 1.0;
+            int hit = -1;
+            for (int i = 0; i < TERMS; ++i) {
+                if (!is_free[i]) continue;
+                const scalar bound = z[i] < low[i] ? low[i] : high[i];
+                if (z[i] >= low[i] && z[i] <= high[i]) continue;
+                const scalar fraction = (bound - c[i]) / (z[i] - c[i]);
+                if (fraction < step) {
+                    step = fraction;
+                    hit = i;
+                }
+            }
+            for (int i = 0; i < TERMS; ++i)
+                if (is_free[i]) c[i] = fmin(fmax(c[i] + step * (z[i] - c[i]), low[i]), high[i]);
+            if (hit < 0) break;
+            c[hit] = z[hit] < low[hit] ? low[hit] : high[hit];
+            is_free[hit] = 0;
+        }
+    }
+    for (int i = 0; i < TERMS; ++i)
+        c[i] = size[i] > 0.0 ? fmin(fmax(c[i] / size[i], lower[i]), upper[i]) : fmin(fmax((scalar)0.0, lower[i]), upper[i]);
+}
+
+/* Sums of one candidate: weighted squares of the residual and their derivatives. */
+typedef struct {
+    real loss, by_coefficient[TERMS], by_parameter[PARAMETERS];
+} Sums;
+
+inline void clear_sums(Sums *sums) {
+    sums->loss = 0.0;
+    for (int t = 0; t < TERMS; ++t) sums->by_coefficient[t] = 0.0;
+    for (int i = 0; i < PARAMETERS; ++i) sums->by_parameter[i] = 0.0;
+}
+
+/* residual = f - y, or ln f - y with y = ln of the measured value. A value that underflowed counts as the smallest. */
+inline void add_sample(const real *term, const scalar *c, real y, real w, int logarithmic, int gradient, Sums *sums) {
+    real f = 0.0;
+    for (int t = 0; t < TERMS; ++t) f += c[t] * term[term_value[t]];
+    real residual = f - y;
+    real factor = 2.0 * w;
+    if (logarithmic) {
+        const real floored = fmax(f, (real)TINY);
+        residual = log(floored) - y;
+        factor = sel(f > TINY, factor / floored, 0.0);
+    }
+    sums->loss += w * sqr(residual);
+    if (!gradient) return;
+    factor *= residual;
+    for (int t = 0; t < TERMS; ++t) sums->by_coefficient[t] += factor * term[term_value[t]];
+    for (int i = 0; i < SLOPES; ++i)
+        sums->by_parameter[slope_parameter[i]] += factor * c[slope_term[i]] * term[slope_value[i]];
+}
+
+inline void store_sums(const Sums *sums, const scalar *c, global scalar *out) {
+    out[0] = sum_lanes(sums->loss);
+    for (int t = 0; t < TERMS; ++t) {
+        out[1 + t] = c[t];
+        out[1 + TERMS + t] = sum_lanes(sums->by_coefficient[t]);
+    }
+    for (int i = 0; i < PARAMETERS; ++i) out[1 + 2 * TERMS + i] = sum_lanes(sums->by_parameter[i]);
+}
+
+inline void project_candidate(int gradient, int candidate, global const scalar *columns, global const scalar *y,
+                              global const scalar *w, int samples, global const scalar *parameters,
+                              global const scalar *lower, global const scalar *upper, global scalar *scratch,
+                              global scalar *out) {
+    const int stored = gradient ? TERM_VALUES : TERMS;
+    const Params p = broadcast_parameters(parameters + candidate * PARAMETERS);
+    global scalar *kept = scratch + (size_t)candidate * samples * stored;
+
+    real gram_sum[TERMS * (TERMS + 1) / 2], b_sum[TERMS];
+    for (int i = 0; i < TERMS * (TERMS + 1) / 2; ++i) gram_sum[i] = 0.0;
+    for (int i = 0; i < TERMS; ++i) b_sum[i] = 0.0;
+    for (int first = 0; first < samples; first += LANES) {
+        Terms f;
+        brdf(p, load_geometry(columns, samples, first), &f);
+        const real *term = (const real *)&f;
+        const real weight = load_lanes(w + first);
+        const real measured = load_lanes(y + first);
+        for (int i = 0; i < TERMS; ++i) {
+            const real weighted = weight * term[term_value[i]];
+            b_sum[i] += weighted * measured;
+            for (int j = i; j < TERMS; ++j) gram_sum[gram_index(i, j)] += weighted * term[term_value[j]];
+        }
+        if (gradient)
+            for (int i = 0; i < TERM_VALUES; ++i) store_lanes(term[i], kept + i * LANES);
+        else
+            for (int i = 0; i < TERMS; ++i) store_lanes(term[term_value[i]], kept + i * LANES);
+        kept += stored * LANES;
+    }
+
+    scalar gram[TERMS * (TERMS + 1) / 2], b[TERMS], low[TERMS], high[TERMS], c[TERMS];
+    for (int i = 0; i < TERMS * (TERMS + 1) / 2; ++i) gram[i] = sum_lanes(gram_sum[i]);
+    for (int i = 0; i < TERMS; ++i) {
+        b[i] = sum_lanes(b_sum[i]);
+        low[i] = lower[candidate * TERMS + i];
+        high[i] = upper[candidate * TERMS + i];
+    }
+    solve_bounded(gram, b, low, high, c);
+
+    Sums sums;
+    clear_sums(&sums);
+    kept = scratch + (size_t)candidate * samples * stored;
+    for (int first = 0; first < samples; first += LANES) {
+        real term[TERM_VALUES];
+        if (gradient)
+            for (int i = 0; i < TERM_VALUES; ++i) term[i] = load_lanes(kept + i * LANES);
+        else
+            for (int i = 0; i < TERMS; ++i) term[term_value[i]] = load_lanes(kept + i * LANES);
+        add_sample(term, c, load_lanes(y + first), load_lanes(w + first), 0, gradient, &sums);
+        kept += stored * LANES;
+    }
+    store_sums(&sums, c, out + candidate * OUT_STRIDE);
+}
+
+/* Best coefficients within their bounds, the loss there and its gradient (by c it is 0 away from the bounds). Every
+ * kernel strides over its candidates, so that the host chooses the number of work-items. */
+kernel void project(global const scalar *columns, global const scalar *y, global const scalar *w, int samples,
+                    int candidates, global const scalar *parameters, global const scalar *lower,
+                    global const scalar *upper, global scalar *scratch, global scalar *out) {
+    for (int i = (int)get_global_id(0); i < candidates; i += (int)get_global_size(0))
+        project_candidate(1, i, columns, y, w, samples, parameters, lower, upper, scratch, out);
+}
+
+/* The same without derivatives by the parameters: for screening. */
+kernel void project_value(global const scalar *columns, global const scalar *y, global const scalar *w, int samples,
+                          int candidates, global const scalar *parameters, global const scalar *lower,
+                          global const scalar *upper, global scalar *scratch, global scalar *out) {
+    for (int i = (int)get_global_id(0); i < candidates; i += (int)get_global_size(0))
+        project_candidate(0, i, columns, y, w, samples, parameters, lower, upper, scratch, out);
+}
+
+/* Loss and gradient at given coefficients; logarithmic: residuals ln f - y. */
+kernel void loss(global const scalar *columns, global const scalar *y, global const scalar *w, int samples,
+                 int candidates, global const scalar *parameters, global const scalar *coefficients, int logarithmic,
+                 global scalar *out) {
+    for (int i = (int)get_global_id(0); i < candidates; i += (int)get_global_size(0)) {
+        const Params p = broadcast_parameters(parameters + i * PARAMETERS);
+        scalar c[TERMS];
+        for (int t = 0; t < TERMS; ++t) c[t] = coefficients[i * TERMS + t];
+        Sums sums;
+        clear_sums(&sums);
+        for (int first = 0; first < samples; first += LANES) {
+            Terms f;
+            brdf(p, load_geometry(columns, samples, first), &f);
+            add_sample((const real *)&f, c, load_lanes(y + first), load_lanes(w + first), logarithmic, 1, &sums);
+        }
+        store_sums(&sums, c, out + i * OUT_STRIDE);
+    }
+}
+
+/* Every term and its slopes for every sample: out candidates x TERM_VALUES x samples. A work-item takes LANES samples of
+ * a candidate at a time. */
+kernel void terms(global const scalar *columns, int samples, int candidates, global const scalar *parameters,
+                  global scalar *out) {
+    const int blocks = samples / LANES;
+    for (int i = (int)get_global_id(0); i < candidates * blocks; i += (int)get_global_size(0)) {
+        const int candidate = i / blocks;
+        const int first = (i - candidate * blocks) * LANES;
+        const Params p = broadcast_parameters(parameters + candidate * PARAMETERS);
+        Terms f;
+        brdf(p, load_geometry(columns, samples, first), &f);
+        const real *term = (const real *)&f;
+        global scalar *row = out + (size_t)candidate * TERM_VALUES * samples + first;
+        for (int v = 0; v < TERM_VALUES; ++v) store_lanes(term[v], row + v * samples);
+    }
+}
