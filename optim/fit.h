@@ -1,0 +1,91 @@
+/// Fits models to the channels of a dataset.
+#pragma once
+
+#include <chrono>
+#include <cstdint>
+#include <map>
+#include <memory>
+#include <optional>
+#include <stdexcept>
+#include <stop_token>
+#include <string>
+#include <vector>
+
+#include "kernels/engine.h"
+#include "kernels/model.h"
+#include "optim/dataset.h"
+#include "optim/loss.h"
+#include "optim/report.h"
+#include "optim/search.h"
+#include "optim/space.h"
+
+namespace brdfit::optim {
+
+/// A model to fit. Values are in the wire's unit: lengths in um where the channel has a wavelength.
+struct ModelRequest {
+    const kernels::Family* family = nullptr;
+    std::optional<std::size_t> lobes{};  ///< none: as few as the data support ("auto"), or a model without lobes
+    std::map<std::string, double> fixed;
+    std::map<std::string, Interval> bounds;
+
+    /// The number of lobes from which and up to which the fit goes; 1 and 1 without lobes.
+    [[nodiscard]] std::size_t most_lobes() const;
+    bool operator==(const ModelRequest&) const = default;
+};
+
+struct FitOptions {
+    Loss loss = Loss::cosine_l2;
+    Effort effort = Effort::standard;
+    std::optional<kernels::Precision> precision{};  ///< none: the best the device has
+    std::uint64_t seed = 1;
+    std::chrono::duration<double> time_limit{30};  ///< of the whole request
+
+    bool operator==(const FitOptions&) const = default;
+};
+
+/// A bound or fixed value outside the parameter's domain, or an empty interval.
+class InvalidBounds : public std::invalid_argument {
+public:
+    InvalidBounds(std::string parameter_in, const std::string& reason)
+        : std::invalid_argument(reason), parameter(std::move(parameter_in)) {}
+    std::string parameter;
+};
+
+/// What one unit of the parameter on the wire is in the model's own unit: 1, or 1/wavelength_um.
+double to_model_unit(const kernels::Parameter& parameter, const Channel& channel);
+/// "1", "um", or "lambda" for a length in a channel without a wavelength.
+std::string wire_unit(const kernels::Parameter& parameter, const Channel& channel);
+/// Bounds of every parameter in the model's unit: the model's, or the request's where it gives them. Names that this
+/// variant lacks are passed over. Throws InvalidBounds.
+std::vector<Interval> parameter_bounds(const kernels::Model& model, const ModelRequest& request,
+                                       const Channel& channel);
+/// Samples a fit of the request's smallest variant needs: its free parameters.
+std::size_t samples_needed(const ModelRequest& request, const Channel& channel);
+
+/// Fits on an engine with a pool of threads: one search each, over channels and models. Safe to use from several
+/// threads; their fits share the pool.
+class Fitter {
+public:
+    Fitter(kernels::Engine& engine, unsigned threads);
+    ~Fitter();
+    Fitter(const Fitter&) = delete;
+    Fitter& operator=(const Fitter&) = delete;
+
+    /// Builds the programs of all variants and runs each kernel once, so that no request waits for a compiler.
+    /// Throws kernels::BuildError, kernels::DeviceError.
+    void warm_up(const kernels::Catalogue& catalogue);
+
+    /// Fits every model to every channel. A model that fails is in the report's failures. Throws
+    /// std::invalid_argument (see weigh) and InvalidBounds.
+    Report fit(const Dataset& dataset, const std::vector<ModelRequest>& models, const FitOptions& options,
+               std::stop_token stop = {});
+
+    [[nodiscard]] kernels::Engine& engine() const { return engine_; }
+
+private:
+    struct Pool;
+    kernels::Engine& engine_;
+    std::unique_ptr<Pool> pool_;
+};
+
+}  // namespace brdfit::optim

@@ -1,0 +1,44 @@
+/// The best parameters of one variant of a model on one channel.
+#pragma once
+
+#include <vector>
+
+#include "kernels/engine.h"
+#include "kernels/model.h"
+#include "optim/dataset.h"
+#include "optim/loss.h"
+#include "optim/report.h"
+#include "optim/search.h"
+#include "optim/space.h"
+
+namespace brdfit::optim {
+
+/// Everything a search of one variant on one channel needs. References must outlive it.
+struct Task {
+    kernels::Engine& engine;
+    const kernels::Model& model;
+    const Channel& channel;
+    const Weighted& weighted;  ///< the channel under the loss
+    kernels::Precision precision;
+    Effort effort;
+    SearchControl control;
+    ScaleRange scale;  ///< of relative data; {1, 1} for absolute data
+};
+
+struct Optimum {
+    const kernels::Model* model = nullptr;
+    std::vector<double> parameters;  ///< in the model's unit, within the bounds
+    double scale = 1;
+    SearchRecord record;
+};
+
+/// Whether the optima of the model's special cases are found first, as starts.
+enum class SpecialCases { start_from, pass_over };
+
+/// Searches within the bounds (one for each parameter, in the model's unit). `smaller`: the optimum of a variant with
+/// fewer lobes, whose loss this one will not exceed; may be nullptr. Throws kernels::DeviceError, kernels::BuildError,
+/// SearchError.
+Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, const Optimum* smaller,
+                     SpecialCases special_cases);
+
+}  // namespace brdfit::optim

@@ -1,0 +1,97 @@
+/// The outcome of fitting models to a dataset: plain values, nothing computed here.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "kernels/engine.h"
+#include "optim/dataset.h"
+
+namespace brdfit::optim {
+
+/// Why a search ended.
+enum class StopReason {
+    converged,         ///< the last local search met its tolerance
+    evaluation_limit,  ///< the budget of evaluations was spent first
+    time_limit,        ///< options.time_limit_s passed
+    roundoff,          ///< round-off stopped progress: the point is usable
+    cancelled,
+};
+
+/// A fitted parameter.
+struct FittedParameter {
+    std::string name;
+    std::string unit;  ///< "1", "um" (or "lambda" for a channel without a wavelength)
+    double value = 0;
+    std::optional<double> std_error{};  ///< none where the data do not determine it, or it is fixed or at a bound
+    bool at_bound = false;
+    bool fixed = false;  ///< by the request
+};
+
+/// Errors over the samples of one incidence angle.
+struct ScanError {
+    double theta_i_deg = 0;
+    double rmse = 0;                     ///< [1/sr]
+    std::optional<double> log10_rmse{};  ///< decades, over samples with y > 0 and f > 0; none if there are none
+};
+
+struct SearchRecord {
+    std::size_t starts = 0;       ///< independent local searches
+    std::size_t agreed = 0;       ///< those that ended within 1e-3 of the best loss
+    std::size_t evaluations = 0;  ///< candidates evaluated, all phases
+    StopReason stop_reason = StopReason::converged;
+    double time_s = 0;
+};
+
+/// One model fitted to one channel.
+struct Fit {
+    std::size_t rank = 0;  ///< from 1, by loss
+    std::string model;
+    std::size_t lobes = 0;  ///< of a model with lobes, else 0
+    std::vector<FittedParameter> parameters;
+    std::optional<double> scale{};  ///< relative data: measured = scale * f
+    double loss = 0;
+    double relative_loss = 0;
+    double rmse = 0;                     ///< [1/sr], unweighted
+    std::optional<double> log10_rmse{};  ///< decades
+    std::optional<double> aicc{};        ///< none with too few samples for the correction
+    double bic = 0;
+    std::vector<ScanError> scans;
+    SearchRecord search;
+    std::vector<std::string> warnings;
+    /// The model at the reported parameters, times scale: what the plots draw and the errors measure.
+    std::vector<double> values;  ///< at each sample of the channel
+    struct Curve {
+        double theta_i_deg = 0;
+        std::vector<double> theta_r_deg;  ///< dense and rising, in the plane of incidence
+        std::vector<double> brdf;         ///< same length
+    };
+    std::vector<Curve> curves;  ///< one for each incidence angle with samples in the plane of incidence
+};
+
+struct Failure {
+    std::string model;
+    std::string reason;  ///< for the user
+    std::string detail;  ///< for the log: may hold a driver's words
+};
+
+struct ChannelReport {
+    Channel channel;        ///< the measurements, as fitted
+    std::vector<Fit> fits;  ///< best first
+    std::vector<Failure> failures;
+    std::vector<std::string> warnings;
+};
+
+struct Report {
+    std::string dataset;  ///< its name
+    Unit unit = Unit::per_steradian;
+    std::uint64_t seed = 0;
+    kernels::DeviceInfo device;
+    kernels::Precision precision = kernels::Precision::double_precision;
+    std::vector<ChannelReport> channels;
+};
+
+}  // namespace brdfit::optim

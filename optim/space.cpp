@@ -1,0 +1,391 @@
+#include "optim/space.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+namespace brdfit::optim {
+namespace {
+
+using kernels::Model;
+using kernels::Parameter;
+using kernels::Scale;
+using kernels::Term;
+constexpr double kPi = std::numbers::pi;
+
+/// Coefficients beyond are as good as unbounded.
+constexpr double kLargestCoefficient = 1e100;
+/// The smallest length of a homogeneous pair that is told from 0.
+constexpr double kLogSmallestLength = -345.0;  // ln 1e-150
+
+/// A coefficient came out of the evaluator at its bound, to single precision.
+bool at_lower(double c, double bound) { return c <= bound * (1 + 1e-6); }
+bool at_upper(double c, double bound) { return c >= bound * (1 - 1e-6); }
+
+}  // namespace
+
+class Axis {
+public:
+    virtual ~Axis() = default;
+    [[nodiscard]] virtual std::size_t dimension() const { return 1; }
+    virtual void apply(std::span<const double> u, Candidate& out) const = 0;
+    virtual void gradient(std::span<const double> u, const Candidate& at, std::span<const double> by_parameter,
+                          std::span<double> by_u) const = 0;
+    /// Adds to by_parameter what a parameter of another axis moves in this one, bounds of coefficients included.
+    virtual void fold(std::span<const double> /*u*/, const Candidate&, std::span<const double> /*coefficients*/,
+                      std::span<const double> /*by_coefficient*/, std::span<double> /*by_parameter*/) const {}
+    /// Turns a candidate's parameters into the model's: only a lobe's height has work to do.
+    virtual void finish(std::span<const double> /*coefficients*/, std::vector<double>& /*parameters*/) const {}
+    virtual void locate(const std::vector<double>& parameters, std::span<double> u) const = 0;
+    [[nodiscard]] virtual std::vector<Interval> typical() const = 0;
+};
+
+namespace {
+
+/// A parameter on its own scale.
+class DirectAxis final : public Axis {
+public:
+    DirectAxis(const Parameter& parameter, std::size_t index, Interval bounds)
+        : index_(index), bounds_(bounds), log_(parameter.scale == Scale::logarithmic && bounds.min > 0) {
+        const auto inside = [&](double value) { return to_u(std::clamp(value, bounds.min, bounds.max)); };
+        typical_ = {inside(parameter.typical_min), inside(parameter.typical_max)};
+        if (!(typical_.min < typical_.max)) typical_ = {0, 1};
+    }
+
+    void apply(std::span<const double> u, Candidate& out) const override {
+        const double value = log_ ? bounds_.min * std::exp(u[0] * std::log(bounds_.max / bounds_.min))
+                                  : bounds_.min + u[0] * (bounds_.max - bounds_.min);
+        out.parameters[index_] = std::clamp(value, bounds_.min, bounds_.max);
+    }
+    void gradient(std::span<const double>, const Candidate& at, std::span<const double> by_parameter,
+                  std::span<double> by_u) const override {
+        by_u[0] = by_parameter[index_] *
+                  (log_ ? at.parameters[index_] * std::log(bounds_.max / bounds_.min) : bounds_.max - bounds_.min);
+    }
+    void locate(const std::vector<double>& parameters, std::span<double> u) const override {
+        u[0] = to_u(std::clamp(parameters[index_], bounds_.min, bounds_.max));
+    }
+    [[nodiscard]] std::vector<Interval> typical() const override { return {typical_}; }
+
+private:
+    [[nodiscard]] double to_u(double value) const {
+        return log_ ? std::log(value / bounds_.min) / std::log(bounds_.max / bounds_.min)
+                    : (value - bounds_.min) / (bounds_.max - bounds_.min);
+    }
+    std::size_t index_;
+    Interval bounds_;
+    bool log_;
+    Interval typical_{0, 1};
+};
+
+/// n + ik = (1 + rho)/(1 - rho), rho = r e^(i phi): |rho|^2 is the reflectance at normal incidence. phi = pi u_1, and
+/// r = u_0 times the radius where the ray of phi leaves the rectangle of the bounds.
+class ComplexIndexAxis final : public Axis {
+public:
+    ComplexIndexAxis(std::size_t n, std::size_t k, Interval n_bounds, Interval k_bounds)
+        : n_(n), k_(k), n_bounds_(n_bounds), k_bounds_(k_bounds) {}
+
+    /// The rectangle must hold rho = 0 (n = 1, k = 0) and be star-shaped about it: rays leave n = n_max and come back
+    /// only where k >= sqrt(n_max^2 - 1).
+    static bool covers(Interval n, Interval k) {
+        return n.min < 1 && n.max > 1 && k.min == 0 && k.max > 0 && k.max <= 1.01 * n.max;
+    }
+
+    [[nodiscard]] std::size_t dimension() const override { return 2; }
+
+    void apply(std::span<const double> u, Candidate& out) const override {
+        const double phi = kPi * u[1];
+        const Index index = at(u[0] * exit(phi).radius, phi);
+        out.parameters[n_] = std::clamp(index.n, n_bounds_.min, n_bounds_.max);
+        out.parameters[k_] = std::clamp(index.k, k_bounds_.min, k_bounds_.max);
+    }
+    void gradient(std::span<const double> u, const Candidate&, std::span<const double> by_parameter,
+                  std::span<double> by_u) const override {
+        const double phi = kPi * u[1];
+        const Exit out = exit(phi);
+        const Index index = at(u[0] * out.radius, phi);
+        const double by_r = by_parameter[n_] * index.n_r + by_parameter[k_] * index.k_r;
+        const double by_phi = by_parameter[n_] * index.n_phi + by_parameter[k_] * index.k_phi;
+        by_u[0] = by_r * out.radius;
+        by_u[1] = kPi * (by_phi + by_r * u[0] * out.slope);
+    }
+    void locate(const std::vector<double>& parameters, std::span<double> u) const override {
+        // rho = (N - 1)/(N + 1)
+        const double n = parameters[n_];
+        const double k = parameters[k_];
+        const double norm = (n + 1) * (n + 1) + k * k;
+        const double re = ((n - 1) * (n + 1) + k * k) / norm;
+        const double im = 2 * k / norm;
+        const double phi = std::atan2(im, re);
+        u[1] = std::clamp(phi / kPi, 0.0, 1.0);
+        u[0] = std::clamp(std::hypot(re, im) / exit(phi).radius, 0.0, 1.0);
+    }
+    /// Away from rho = 0 (n = 1, k = 0), where every slope vanishes.
+    [[nodiscard]] std::vector<Interval> typical() const override { return {{0.1, 1}, {0, 1}}; }
+
+private:
+    struct Index {
+        double n, k, n_r, n_phi, k_r, k_phi;
+    };
+    struct Exit {
+        double radius, slope;  // and d radius/d phi
+    };
+
+    static Index at(double r, double phi) {
+        const double c = std::cos(phi);
+        const double s = std::sin(phi);
+        const double d = 1 - 2 * r * c + r * r;
+        const double d_r = 2 * (r - c);
+        const double d_phi = 2 * r * s;
+        const double n = (1 - r * r) / d;
+        const double k = 2 * r * s / d;
+        return {n, k, (-2 * r - n * d_r) / d, -n * d_phi / d, (2 * s - k * d_r) / d, (2 * r * c - k * d_phi) / d};
+    }
+
+    /// Where the ray first meets n = n_min, n = n_max or k = k_max: each a quadratic in r.
+    [[nodiscard]] Exit exit(double phi) const {
+        const double c = std::cos(phi);
+        const double s = std::sin(phi);
+        const auto slope_n = [&](double r) {
+            const Index i = at(r, phi);
+            return -i.n_phi / i.n_r;
+        };
+        const double n0 = n_bounds_.min;
+        const double low = (n0 * c + std::sqrt(n0 * n0 * c * c + (1 - n0) * (1 + n0))) / (1 + n0);
+        Exit best{low, slope_n(low)};
+        const double n1 = n_bounds_.max;
+        const double n_discriminant = n1 * n1 * c * c - (n1 - 1) * (n1 + 1);
+        if (c > 0 && n_discriminant >= 0) {
+            const double high = (n1 * c - std::sqrt(n_discriminant)) / (1 + n1);
+            if (high < best.radius) best = {high, n_discriminant > 0 ? slope_n(high) : 0.0};
+        }
+        const double k1 = k_bounds_.max;
+        const double half = k1 * c + s;
+        const double k_discriminant = half * half - k1 * k1;
+        if (half > 0 && k_discriminant >= 0) {
+            const double top = (half - std::sqrt(k_discriminant)) / k1;
+            if (top < best.radius) {
+                const Index i = at(top, phi);
+                best = {top, k_discriminant > 0 ? -i.k_phi / i.k_r : 0.0};
+            }
+        }
+        return best;
+    }
+
+    std::size_t n_, k_;
+    Interval n_bounds_, k_bounds_;
+};
+
+/// The direction of a homogeneous pair: (x, y) = R (cos psi, sin psi)/max(|cos psi|, |sin psi|), with height R^degree =
+/// c; so a lobe of height 1 peaks at 1 or less whatever its degree. A narrow lobe's height follows its direction as
+/// exp(degree (psi - pole)), so the coordinate is t with psi = pole + 2 atan(sinh(t)/(1 + degree)): what is a funnel in
+/// psi is a straight channel in t.
+class DirectionAxis final : public Axis {
+public:
+    DirectionAxis(std::size_t term, const Term::Homogeneous& homogeneous, Interval x, Interval y)
+        : term_(term),
+          x_(homogeneous.plane.first),
+          y_(homogeneous.plane.second),
+          degree_(homogeneous.degree),
+          pole_(homogeneous.pole),
+          x_bounds_(x),
+          y_bounds_(y) {}
+
+    /// The rectangle must hold the origin, so that every direction has lengths from 0.
+    static bool covers(Interval x, Interval y) { return x.min < 0 && x.max > 0 && y.min < 0 && y.max > 0; }
+
+    /// Must come after the axis of the degree.
+    void apply(std::span<const double> u, Candidate& out) const override {
+        const double degree = out.parameters[degree_];
+        const double psi = angle(u[0], degree);
+        const double largest = std::max(std::abs(std::cos(psi)), std::abs(std::sin(psi)));
+        const double x = out.parameters[x_] = std::cos(psi) / largest;
+        const double y = out.parameters[y_] = std::sin(psi) / largest;
+        const double length = longest_along(x, y).length;
+        out.lower[term_] = std::exp(degree * kLogSmallestLength);
+        out.upper[term_] = std::min(std::exp(degree * std::log(length)), kLargestCoefficient);
+    }
+    void fold(std::span<const double> u, const Candidate& at, std::span<const double> c,
+              std::span<const double> by_coefficient, std::span<double> by_parameter) const override {
+        const double x = at.parameters[x_];
+        const double y = at.parameters[y_];
+        const double degree = at.parameters[degree_];
+        const double gain = by_coefficient[term_] * c[term_];
+        if (at_upper(c[term_], at.upper[term_])) {
+            // ln upper = degree ln R, and R = bound/|x| or bound/|y| along this direction
+            const Longest longest = longest_along(x, y);
+            by_parameter[degree_] += gain * std::log(longest.length);
+            if (longest.by_x) by_parameter[x_] -= gain * degree / x;
+            else by_parameter[y_] -= gain * degree / y;
+        } else if (at_lower(c[term_], at.lower[term_])) {
+            by_parameter[degree_] += gain * kLogSmallestLength;
+        }
+        const double tangent = half_tangent(u[0], degree);
+        by_parameter[degree_] -= by_angle(x, y, by_parameter) * 2 / (1 + tangent * tangent) * tangent / (1 + degree);
+    }
+    void gradient(std::span<const double> u, const Candidate& at, std::span<const double> by_parameter,
+                  std::span<double> by_u) const override {
+        const double degree = at.parameters[degree_];
+        const double tangent = half_tangent(u[0], degree);
+        by_u[0] = by_angle(at.parameters[x_], at.parameters[y_], by_parameter) * 2 / (1 + tangent * tangent) *
+                  std::cosh(kReach * (2 * u[0] - 1)) / (1 + degree) * 2 * kReach;
+    }
+    void finish(std::span<const double> c, std::vector<double>& parameters) const override {
+        const double height = c[term_];
+        const double length = height > 0 ? std::exp(std::log(height) / parameters[degree_]) : 0.0;
+        parameters[x_] = std::clamp(length * parameters[x_], x_bounds_.min, x_bounds_.max);
+        parameters[y_] = std::clamp(length * parameters[y_], y_bounds_.min, y_bounds_.max);
+    }
+    void locate(const std::vector<double>& parameters, std::span<double> u) const override {
+        const double away = std::remainder(std::atan2(parameters[y_], parameters[x_]) - pole_, 2 * kPi);
+        const double t = std::asinh(std::tan(away / 2) * (1 + parameters[degree_]));
+        u[0] = std::clamp(0.5 + 0.5 * t / kReach, 0.0, 1.0);
+    }
+    [[nodiscard]] std::vector<Interval> typical() const override { return {{0.3, 0.7}}; }
+
+private:
+    /// Largest |t|: reaches to within 10 degrees of the pole's opposite at degree 1e4.
+    static constexpr double kReach = 12;
+
+    /// d/d psi of (x, y) = (cos psi, sin psi)/max(|cos psi|, |sin psi|), applied to the slopes by x and y.
+    [[nodiscard]] double by_angle(double x, double y, std::span<const double> by_parameter) const {
+        return std::abs(x) >= std::abs(y) ? std::copysign(1 + y * y, x) * by_parameter[y_]
+                                          : -std::copysign(1 + x * x, y) * by_parameter[x_];
+    }
+    static double half_tangent(double u, double degree) { return std::sinh(kReach * (2 * u - 1)) / (1 + degree); }
+    [[nodiscard]] double angle(double u, double degree) const { return pole_ + 2 * std::atan(half_tangent(u, degree)); }
+    /// The length at which the ray along (x, y) leaves the bounds, and through which side.
+    struct Longest {
+        double length;
+        bool by_x;
+    };
+    [[nodiscard]] Longest longest_along(double x, double y) const {
+        const double by_x = x == 0 ? HUGE_VAL : (x < 0 ? x_bounds_.min : x_bounds_.max) / x;
+        const double by_y = y == 0 ? HUGE_VAL : (y < 0 ? y_bounds_.min : y_bounds_.max) / y;
+        return {std::min(by_x, by_y), by_x < by_y};
+    }
+    std::size_t term_, x_, y_, degree_;
+    double pole_;
+    Interval x_bounds_, y_bounds_;
+};
+
+}  // namespace
+
+SearchSpace::SearchSpace(const Model& model, std::vector<Interval> bounds, Unknowns unknowns, ScaleRange scale)
+    : model_(model), bounds_(std::move(bounds)), unknowns_(unknowns), scale_(scale) {
+    const bool all = unknowns == Unknowns::all;
+    std::vector<bool> taken(model.parameters.size(), false);
+    for (std::size_t i = 0; i < taken.size(); ++i) taken[i] = (model.is_linear(i) && !all) || bounds_[i].fixed();
+    const auto take = [&](std::size_t a, std::size_t b, auto axis) {
+        taken[a] = taken[b] = true;
+        axes_.push_back(std::move(axis));
+    };
+    for (const kernels::Chart& chart : model.charts) {
+        const auto [n, k] = chart.parameters;
+        if (!taken[n] && !taken[k] && ComplexIndexAxis::covers(bounds_[n], bounds_[k]))
+            take(n, k, std::make_unique<ComplexIndexAxis>(n, k, bounds_[n], bounds_[k]));
+    }
+    std::vector<std::unique_ptr<Axis>> directions;
+    for (std::size_t t = 0; t < model.terms.size(); ++t) {
+        const auto& homogeneous = model.terms[t].homogeneous;
+        if (!homogeneous || all) continue;
+        const auto [x, y] = homogeneous->plane;
+        if (taken[x] || taken[y] || !DirectionAxis::covers(bounds_[x], bounds_[y])) continue;
+        taken[x] = taken[y] = true;
+        directions.push_back(std::make_unique<DirectionAxis>(t, *homogeneous, bounds_[x], bounds_[y]));
+    }
+    for (std::size_t i = 0; i < taken.size(); ++i)
+        if (!taken[i]) axes_.push_back(std::make_unique<DirectAxis>(model.parameters[i], i, bounds_[i]));
+    for (auto& axis : directions) axes_.push_back(std::move(axis));  // they read the degrees set before
+    for (const auto& axis : axes_) dimension_ += axis->dimension();
+    if (scaled()) ++dimension_;
+}
+
+SearchSpace::~SearchSpace() = default;
+SearchSpace::SearchSpace(SearchSpace&&) noexcept = default;
+
+double SearchSpace::scale(std::span<const double> u) const {
+    return scaled() ? scale_.min * std::exp(u.back() * std::log(scale_.max / scale_.min)) : 1.0;
+}
+
+Candidate SearchSpace::candidate(std::span<const double> u) const {
+    const bool all = unknowns_ == Unknowns::all;
+    Candidate out;
+    out.parameters.resize(model_.parameters.size());
+    for (std::size_t i = 0; i < bounds_.size(); ++i)
+        out.parameters[i] = bounds_[i].fixed() && (all || !model_.is_linear(i)) ? bounds_[i].min : 0.0;
+    out.lower.assign(model_.terms.size(), 1.0);
+    out.upper.assign(model_.terms.size(), 1.0);
+    std::size_t first = 0;
+    for (const auto& axis : axes_) {
+        axis->apply(u.subspan(first, axis->dimension()), out);
+        first += axis->dimension();
+    }
+    for (std::size_t t = 0; t < model_.terms.size(); ++t)
+        if (const auto factor = model_.terms[t].factor) {
+            out.lower[t] = all ? out.parameters[*factor] : bounds_[*factor].min;
+            out.upper[t] = all ? out.parameters[*factor] : std::min(bounds_[*factor].max, kLargestCoefficient);
+        }
+    const double s = scale(u);
+    for (double& bound : out.lower) bound *= s;
+    for (double& bound : out.upper) bound *= s;
+    return out;
+}
+
+void SearchSpace::gradient(std::span<const double> u, const Candidate& at, std::span<const double> coefficients,
+                           std::span<const double> by_parameter, std::span<const double> by_coefficient,
+                           std::span<double> by_u) const {
+    std::vector<double> slopes(by_parameter.begin(), by_parameter.end());
+    if (unknowns_ == Unknowns::all)
+        for (std::size_t t = 0; t < model_.terms.size(); ++t)
+            if (const auto factor = model_.terms[t].factor) slopes[*factor] += by_coefficient[t] * scale(u);
+    std::size_t first = 0;
+    for (const auto& axis : axes_) {
+        axis->fold(u.subspan(first, axis->dimension()), at, coefficients, by_coefficient, slopes);
+        first += axis->dimension();
+    }
+    first = 0;
+    for (const auto& axis : axes_) {
+        axis->gradient(u.subspan(first, axis->dimension()), at, slopes, by_u.subspan(first, axis->dimension()));
+        first += axis->dimension();
+    }
+    if (!scaled()) return;
+    // The scale moves the bounds of every coefficient, and with them the coefficients that stand there.
+    double sum = 0;
+    for (std::size_t t = 0; t < model_.terms.size(); ++t)
+        if (at_lower(coefficients[t], at.lower[t]) || at_upper(coefficients[t], at.upper[t]))
+            sum += by_coefficient[t] * coefficients[t];
+    by_u[first] = sum * std::log(scale_.max / scale_.min);
+}
+
+std::vector<double> SearchSpace::parameters(std::span<const double> u, std::span<const double> coefficients,
+                                            double& scale_out) const {
+    std::vector<double> result = candidate(u).parameters;
+    for (const auto& axis : axes_) axis->finish(coefficients, result);
+    scale_out = scale(u);
+    for (std::size_t t = 0; t < model_.terms.size(); ++t)
+        if (const auto factor = model_.terms[t].factor)
+            result[*factor] = std::clamp(coefficients[t] / scale_out, bounds_[*factor].min, bounds_[*factor].max);
+    return result;
+}
+
+std::vector<double> SearchSpace::coordinates(const std::vector<double>& parameters, double scale) const {
+    std::vector<double> u(dimension_);
+    std::size_t first = 0;
+    for (const auto& axis : axes_) {
+        axis->locate(parameters, std::span(u).subspan(first, axis->dimension()));
+        first += axis->dimension();
+    }
+    if (scaled()) u[first] = std::clamp(std::log(scale / scale_.min) / std::log(scale_.max / scale_.min), 0.0, 1.0);
+    return u;
+}
+
+std::vector<Interval> SearchSpace::typical() const {
+    std::vector<Interval> result;
+    for (const auto& axis : axes_)
+        for (const Interval& interval : axis->typical()) result.push_back(interval);
+    if (scaled()) result.push_back({0.25, 0.75});
+    return result;
+}
+
+}  // namespace brdfit::optim

@@ -1,0 +1,84 @@
+/// The coordinates a search moves in: a unit cube over the nonlinear parameters of a model.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "kernels/model.h"
+
+namespace brdfit::optim {
+
+/// Bounds of a parameter in the model's own unit; min == max fixes it.
+struct Interval {
+    double min = 0;
+    double max = 0;
+
+    [[nodiscard]] bool fixed() const { return min == max; }
+    bool operator==(const Interval&) const = default;
+};
+
+/// A point of the cube as the evaluator takes it.
+struct Candidate {
+    std::vector<double> parameters;  ///< P; linear ones 0 with Unknowns::nonlinear
+    std::vector<double> lower;       ///< T: bounds of the linear coefficients; equal to upper with Unknowns::all
+    std::vector<double> upper;
+};
+
+/// Range of the factor of relative data: coefficients are `scale` times what they are for absolute data.
+struct ScaleRange {
+    double min = 1;
+    double max = 1;
+};
+
+/// One coordinate or two of the cube.
+class Axis;
+
+/// Which parameters a space holds.
+enum class Unknowns {
+    nonlinear,  ///< the linear coefficients are solved for (Evaluator::project)
+    all,        ///< Evaluator::loss: for losses that are not quadratic in the coefficients
+};
+
+/// Maps u in [0, 1]^d to candidates. Parameters with a logarithmic scale are even in their logarithm; a complex index
+/// is seen in polar coordinates of (N-1)/(N+1); a homogeneous term's pair of parameters is seen as an angle and a
+/// height, and the height is a linear coefficient. Both charts are used only where the bounds leave them whole.
+class SearchSpace {
+public:
+    /// bounds: one for each parameter of the model.
+    SearchSpace(const kernels::Model& model, std::vector<Interval> bounds, Unknowns unknowns = Unknowns::nonlinear,
+                ScaleRange scale = {});
+    ~SearchSpace();
+    SearchSpace(SearchSpace&&) noexcept;
+
+    [[nodiscard]] const kernels::Model& model() const { return model_; }
+    [[nodiscard]] std::size_t dimension() const { return dimension_; }
+    [[nodiscard]] Candidate candidate(std::span<const double> u) const;
+    /// d loss/d u from the loss's derivatives at the candidate of u and its coefficients c: by_parameter (P),
+    /// by_coefficient (T; what a coefficient held at a bound would gain).
+    void gradient(std::span<const double> u, const Candidate& at, std::span<const double> coefficients,
+                  std::span<const double> by_parameter, std::span<const double> by_coefficient,
+                  std::span<double> by_u) const;
+    /// The model's parameters at u and c, within their bounds, and the scale.
+    [[nodiscard]] std::vector<double> parameters(std::span<const double> u, std::span<const double> coefficients,
+                                                 double& scale) const;
+    /// A point whose candidate has (nearly) these parameters, clamped into the cube.
+    [[nodiscard]] std::vector<double> coordinates(const std::vector<double>& parameters, double scale) const;
+    /// Where starts should lie: [min, max] within [0, 1], one for each coordinate.
+    [[nodiscard]] std::vector<Interval> typical() const;
+    [[nodiscard]] const std::vector<Interval>& bounds() const { return bounds_; }
+
+private:
+    [[nodiscard]] bool scaled() const { return scale_.min < scale_.max; }
+    /// The scale at u: the last coordinate, even in its logarithm; 1 for absolute data.
+    [[nodiscard]] double scale(std::span<const double> u) const;
+    const kernels::Model& model_;
+    std::vector<Interval> bounds_;
+    Unknowns unknowns_;
+    ScaleRange scale_;
+    std::vector<std::unique_ptr<Axis>> axes_;
+    std::size_t dimension_ = 0;
+};
+
+}  // namespace brdfit::optim
