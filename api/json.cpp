@@ -1,0 +1,123 @@
+#include "api/json.h"
+
+#include <string>
+#include <vector>
+
+#include <nlohmann/json.hpp>
+
+#include "api/problem.h"
+
+namespace brdfit::api {
+namespace {
+
+using nlohmann::json;
+
+constexpr std::size_t kDeepest = 16;
+
+/// Builds the document and knows at every moment where it is.
+class Builder : public nlohmann::json_sax<json> {
+public:
+    explicit Builder(std::string_view text) : text_(text) {}
+
+    bool null() override { return add(nullptr); }
+    bool boolean(bool value) override { return add(value); }
+    bool number_integer(number_integer_t value) override { return add(value); }
+    bool number_unsigned(number_unsigned_t value) override { return add(value); }
+    bool number_float(number_float_t value, const string_t&) override { return add(value); }
+    bool string(string_t& value) override { return add(std::move(value)); }
+    bool binary(binary_t&) override { return false; }
+    bool start_object(std::size_t) override { return open(json::object()); }
+    bool start_array(std::size_t) override { return open(json::array()); }
+    bool end_object() override { return close(); }
+    bool end_array() override { return close(); }
+    bool key(string_t& name) override {
+        if (open_.back()->contains(name))
+            throw Refusal({400,
+                           "invalid-json",
+                           "a key stands twice in an object",
+                           {{pointer() + "/" + pointer_part(name), "duplicate_key", "the key stands twice", {}, {}}}});
+        key_ = name;
+        return true;
+    }
+    bool parse_error(std::size_t position, const std::string&, const json::exception& error) override {
+        std::size_t line = 1;
+        std::size_t column = 1;
+        for (std::size_t i = 0; i + 1 < position && i < text_.size(); ++i) {
+            ++column;
+            if (text_[i] == '\n') {
+                ++line;
+                column = 1;
+            }
+        }
+        constexpr int kNumberOverflow = 406;  // nlohmann's out_of_range for a number that is no double
+        if (error.id == kNumberOverflow)
+            throw Refusal({422,
+                           "invalid-request",
+                           "a number is not finite",
+                           {{place(), "not_finite", "the number is too large for a double", line, column}}});
+        throw Refusal({400,
+                       "invalid-json",
+                       "the body is not JSON",
+                       {{place(), "syntax", "not JSON from here on", line, column}}});
+    }
+
+    json document;
+
+private:
+    /// Where the value that comes next will stand.
+    [[nodiscard]] std::string place() const {
+        if (open_.empty()) return "";
+        return pointer() + "/" + (open_.back()->is_array() ? std::to_string(open_.back()->size()) : pointer_part(key_));
+    }
+    [[nodiscard]] std::string pointer() const {
+        std::string path;
+        for (const std::string& part : path_) path += "/" + part;
+        return path;
+    }
+    json* put(json value) {
+        if (open_.empty()) {
+            document = std::move(value);
+            return &document;
+        }
+        json& parent = *open_.back();
+        if (parent.is_array()) return &parent.emplace_back(std::move(value));
+        return &(parent[key_] = std::move(value));
+    }
+    bool add(json value) {
+        put(std::move(value));
+        return true;
+    }
+    bool open(json value) {
+        if (open_.size() == kDeepest)
+            throw Refusal({400,
+                           "invalid-json",
+                           "the document is nested too deeply",
+                           {{place(), "too_deep", "at most 16 levels", {}, {}}}});
+        if (!open_.empty())
+            path_.push_back(open_.back()->is_array() ? std::to_string(open_.back()->size()) : pointer_part(key_));
+        open_.push_back(put(std::move(value)));
+        return true;
+    }
+    bool close() {
+        open_.pop_back();
+        if (!path_.empty()) path_.pop_back();
+        return true;
+    }
+
+    std::string_view text_;
+    std::vector<json*> open_;
+    std::vector<std::string> path_;
+    std::string key_;
+};
+
+}  // namespace
+
+json parse_json(std::string_view text) {
+    if (const auto nul = text.find('\0'); nul != std::string_view::npos)
+        throw Refusal({400, "invalid-json", "the body holds a NUL byte", {}});
+    Builder builder(text);
+    if (!json::sax_parse(text, &builder)) throw Refusal({400, "invalid-json", "the body is not JSON", {}});
+    return std::move(builder.document);
+}
+
+}  // namespace brdfit::api

@@ -1,0 +1,76 @@
+/// Names of choices on the wire, each declared once.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <optional>
+#include <string>
+#include <string_view>
+
+#include "kernels/engine.h"
+#include "optim/dataset.h"
+#include "optim/loss.h"
+#include "optim/report.h"
+#include "optim/search.h"
+
+namespace brdfit::api {
+
+template <class Choice>
+struct Named {
+    Choice choice;
+    std::string_view name;
+    std::string_view doc;
+};
+
+inline constexpr std::array kEfforts{
+    Named{optim::Effort::draft, "draft", "a quick look: a quarter of the starts"},
+    Named{optim::Effort::standard, "standard", "the default"},
+    Named{optim::Effort::thorough, "thorough", "four times the starts"},
+};
+inline constexpr std::array kPrecisions{
+    Named{kernels::Precision::single_precision, "single", "the search in 32 bits"},
+    Named{kernels::Precision::double_precision, "double", "the search in 64 bits"},
+};
+inline constexpr std::array kUnits{
+    Named{optim::Unit::per_steradian, "1/sr", "absolute"},
+    Named{optim::Unit::relative, "relative", "one unknown positive factor a channel is fitted and reported as scale"},
+};
+inline constexpr std::array kStopReasons{
+    Named{optim::StopReason::converged, "converged", "the last descent met its tolerance"},
+    Named{optim::StopReason::evaluation_limit, "evaluation_limit", "the budget of evaluations was spent"},
+    Named{optim::StopReason::time_limit, "time_limit", "options.time_limit_s passed"},
+    Named{optim::StopReason::roundoff, "roundoff", "round-off stopped progress; the point is usable"},
+    Named{optim::StopReason::cancelled, "cancelled", "the request was withdrawn"},
+};
+inline constexpr const auto& kLosses = optim::kLossNames;
+
+/// The value that an entry of a table names.
+template <class Choice>
+constexpr Choice value_of(const Named<Choice>& entry) {
+    return entry.choice;
+}
+constexpr optim::Loss value_of(const optim::LossName& entry) { return entry.loss; }
+
+/// Name of a choice; every choice stands in its table.
+template <class Table, class Choice>
+constexpr std::string_view name_of(const Table& table, Choice choice) {
+    return std::find_if(table.begin(), table.end(), [&](const auto& e) { return value_of(e) == choice; })->name;
+}
+
+/// The choice of that name, if there is one.
+template <class Table>
+auto choice_of(const Table& table, std::string_view name) -> std::optional<decltype(value_of(table.front()))> {
+    for (const auto& entry : table)
+        if (entry.name == name) return value_of(entry);
+    return std::nullopt;
+}
+
+/// "a, b, c" for messages.
+template <class Table>
+std::string names_of(const Table& table) {
+    std::string names;
+    for (const auto& entry : table) names += (names.empty() ? "" : ", ") + std::string(entry.name);
+    return names;
+}
+
+}  // namespace brdfit::api

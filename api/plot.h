@@ -1,0 +1,42 @@
+/// Error plots: a report drawn as SVG text.
+#pragma once
+
+#include <string>
+#include <vector>
+
+#include "optim/report.h"
+
+namespace brdfit::api {
+
+struct PlotOptions {
+    std::vector<std::string> models{};  ///< names of models to draw, e.g. "ward"; empty: all
+    std::vector<double> theta_i_deg{};  ///< incidence angles to draw; empty: all
+    double width = 960;                 ///< of the picture [px], 320..4000
+    std::string channel{};              ///< empty: the first; in a summary: all
+};
+
+/// Each of these is a pure function: the same report and options give the same bytes, whatever the locale. The text is
+/// a whole SVG 1.1 document in UTF-8 with role="img", <title> and <desc>, white background, no script and no reference
+/// to anything outside. Names from the report are escaped; control characters are dropped and bad UTF-8 is replaced. A
+/// name that is too long for its place ends in an ellipsis.
+///
+/// A model has one colour, dash pattern and line weight in all plots of a report and its channels, by its place among
+/// the report's sorted model names. Curves are drawn within 0.05 px of their values. Below 960 px a picture gets fewer
+/// columns, above it is scaled. What cannot be drawn is counted in the picture: values <= 0, samples out of the plane
+/// of incidence, values beyond an axis (arrows), models without a fit, incidence angles past the 24th, channels past
+/// the 12th.
+///
+/// Throws std::invalid_argument, naming the valid ones, if options name a model, an incidence angle (to 1e-6 degrees)
+/// or a channel that the report lacks, if the width is out of range, or if the report has no channel.
+
+/// The measured BRDF (error bars: one sigma) and each model's curve against the signed exitant angle, a panel per
+/// incidence angle with equal axes, the residual log10(model / measured) under it.
+std::string plot_brdf(const optim::Report& report, const PlotOptions& options = {});
+
+/// The residual panels alone, larger.
+std::string plot_residual(const optim::Report& report, const PlotOptions& options = {});
+
+/// Models ranked by loss, and their errors in decades at each incidence angle, for each channel.
+std::string plot_summary(const optim::Report& report, const PlotOptions& options = {});
+
+}  // namespace brdfit::api

@@ -1,0 +1,468 @@
+#include "api/request.h"
+
+#include <charconv>
+#include <set>
+
+#include "api/csv.h"
+#include "api/field.h"
+#include "api/json.h"
+#include "api/samples.h"
+
+namespace brdfit::api {
+namespace {
+
+using nlohmann::json;
+using optim::Channel;
+using optim::Dataset;
+using optim::FitOptions;
+using optim::Interval;
+using optim::ModelRequest;
+using optim::Sample;
+
+constexpr double kLargestSeed = 9007199254740991;  // 2^53 - 1: exact in every JSON parser
+constexpr double kLongestTime_s = 3600;
+constexpr std::size_t kMostModels = 50;
+
+// ---- options ----
+
+constexpr std::string_view kAuto = "auto";
+
+void read_seed(const json& value, const Place& place, FitOptions& out) {
+    const auto number = read_number(value, place);
+    if (!number) return;
+    if (*number < 0 || *number > kLargestSeed || *number != std::floor(*number))
+        place.fail("out_of_range", "must be a whole number from 0 to 2^53 - 1");
+    else out.seed = static_cast<std::uint64_t>(*number);
+}
+
+void read_time_limit(const json& value, const Place& place, FitOptions& out) {
+    const auto number = read_number(value, place);
+    if (!number) return;
+    if (!(*number > 0 && *number <= kLongestTime_s)) place.fail("out_of_range", "must lie in (0, 3600]");
+    else out.time_limit = std::chrono::duration<double>(*number);
+}
+
+void read_precision(const json& value, const Place& place, FitOptions& out) {
+    if (value.is_string() && value.get_ref<const std::string&>() == kAuto) return;
+    if (value.is_string() && !choice_of(kPrecisions, value.get_ref<const std::string&>()))
+        place.fail("unknown_value", "must be one of: auto, " + names_of(kPrecisions));
+    else out.precision = read_choice(value, place, kPrecisions);
+}
+
+const std::vector<Field<FitOptions>> kOptionFields{
+    {"loss", false, "what is minimised",
+     [](const json& v, const Place& p, FitOptions& out) {
+         if (const auto loss = read_choice(v, p, kLosses)) out.loss = *loss;
+     }},
+    {"effort", false, "how much the search may spend",
+     [](const json& v, const Place& p, FitOptions& out) {
+         if (const auto effort = read_choice(v, p, kEfforts)) out.effort = *effort;
+     }},
+    {"precision", false, "arithmetic of the search; auto: the best the device has", read_precision},
+    {"seed", false, "of the starts; the same seed gives the same result", read_seed},
+    {"time_limit_s", false, "of the whole request, in seconds", read_time_limit},
+};
+
+// ---- models ----
+
+/// A model before its family is known to exist.
+struct RawModel {
+    std::string name;
+    const json* lobes = nullptr;
+    const json* fixed = nullptr;
+    const json* bounds = nullptr;
+};
+
+const std::vector<Field<RawModel>> kModelFields{
+    {"name", true, "the model's name",
+     [](const json& v, const Place& p, RawModel& out) { out.name = read_text(v, p).value_or(""); }},
+    {"lobes", false, "number of lobes, or \"auto\"",
+     [](const json& v, const Place&, RawModel& out) { out.lobes = &v; }},
+    {"fixed", false, "parameters held at a value", [](const json& v, const Place&, RawModel& out) { out.fixed = &v; }},
+    {"bounds", false, "parameters kept within [low, high]",
+     [](const json& v, const Place&, RawModel& out) { out.bounds = &v; }},
+};
+
+void read_lobes(const json& value, const Place& place, ModelRequest& out) {
+    const auto& repeat = out.family->repeat;
+    if (!repeat) {
+        place.fail("unknown_key", "the model " + out.family->name + " has no lobes to choose");
+        return;
+    }
+    if (value.is_string() && value.get_ref<const std::string&>() == kAuto) return;
+    const bool whole = value.is_number_integer();
+    const double number = whole ? value.get<double>() : 0;
+    if (!whole || number < static_cast<double>(repeat->min) || number > static_cast<double>(repeat->max))
+        place.fail("out_of_range", "must be a whole number from " + std::to_string(repeat->min) + " to " +
+                                       std::to_string(repeat->max) + ", or \"auto\"");
+    else out.lobes = static_cast<std::size_t>(number);
+}
+
+/// Calls read for every member that names a parameter of the model.
+template <class Read>
+void read_parameters(const json* object, const Place& place, const ModelRequest& request, const Read& read) {
+    if (object == nullptr) return;
+    if (!object->is_object()) {
+        place.fail("wrong_type", "must be an object");
+        return;
+    }
+    const kernels::Model& model = request.family->variant(request.most_lobes());
+    std::string names;
+    for (const kernels::Parameter& p : model.parameters) names += (names.empty() ? "" : ", ") + p.name;
+    for (const auto& [name, value] : object->items()) {
+        if (!model.find(name))
+            place.at(name).fail("unknown_parameter", "the model has no such parameter; it has: " + names);
+        else read(name, value, place.at(name));
+    }
+}
+
+std::optional<ModelRequest> read_model(const json& value, const Place& place, const kernels::Catalogue& catalogue) {
+    RawModel raw;
+    const Place name_place = value.is_object() ? place.at("name") : place;
+    if (value.is_string()) raw.name = value.get<std::string>();
+    else {
+        if (!value.is_object()) {
+            place.fail("wrong_type", "must be a model's name or an object");
+            return std::nullopt;
+        }
+        read_object<RawModel>(value, place, kModelFields, raw);
+        if (!value.contains("name") || !value["name"].is_string()) return std::nullopt;
+    }
+    ModelRequest request;
+    request.family = catalogue.find(raw.name);
+    if (request.family == nullptr) {
+        name_place.fail("unknown_model", "unknown model; valid are: " + catalogue.names());
+        return std::nullopt;
+    }
+    if (raw.lobes != nullptr) read_lobes(*raw.lobes, place.at("lobes"), request);
+    read_parameters(raw.fixed, place.at("fixed"), request, [&](const std::string& name, const json& v, const Place& p) {
+        if (const auto number = read_number(v, p)) request.fixed[name] = *number;
+    });
+    read_parameters(raw.bounds, place.at("bounds"), request,
+                    [&](const std::string& name, const json& v, const Place& p) {
+                        if (!v.is_array() || v.size() != 2 || !v[0].is_number() || !v[1].is_number())
+                            p.fail("wrong_type", "must be [low, high]");
+                        else if (!(v[0].get<double>() < v[1].get<double>()))
+                            p.fail("out_of_range", "low must be below high; to hold a parameter use \"fixed\"");
+                        else if (request.fixed.count(name) != 0)
+                            p.fail("contradiction", "the parameter is fixed as well");
+                        else request.bounds[name] = Interval{v[0].get<double>(), v[1].get<double>()};
+                    });
+    return request;
+}
+
+void read_models(const json& value, const Place& place, const kernels::Catalogue& catalogue,
+                 std::vector<ModelRequest>& out) {
+    if (!value.is_array() || value.empty() || value.size() > kMostModels) {
+        place.fail("wrong_type", "must be an array of 1 to " + std::to_string(kMostModels) +
+                                     " models; valid are: " + catalogue.names());
+        return;
+    }
+    for (std::size_t i = 0; i < value.size(); ++i)
+        if (auto model = read_model(value[i], place.at(i), catalogue)) out.push_back(std::move(*model));
+}
+
+// ---- dataset ----
+
+using Check = std::optional<std::string> (*)(double);
+
+std::optional<double> read_checked(const json& value, const Place& place, Check bad) {
+    const auto number = read_number(value, place);
+    if (!number) return std::nullopt;
+    if (const auto reason = bad(*number)) {
+        place.fail("out_of_range", *reason);
+        return std::nullopt;
+    }
+    return number;
+}
+
+/// A column: an array of numbers. An element that is refused is 0; the request is refused anyway.
+std::vector<double> read_column(const json& value, const Place& place, Check bad) {
+    if (!value.is_array()) {
+        place.fail("wrong_type", "must be an array of numbers");
+        return {};
+    }
+    std::vector<double> column;
+    column.reserve(value.size());
+    for (std::size_t i = 0; i < value.size(); ++i)
+        column.push_back(read_checked(value[i], place.at(i), bad).value_or(0));
+    return column;
+}
+
+/// Columns of a scan or of free samples, before they become samples.
+struct Columns {
+    std::optional<double> scan_theta_i;
+    std::vector<double> theta_i, phi_i, theta_r, phi_r, brdf, sigma;
+    bool has_phi_i = false;
+    bool has_sigma = false;
+};
+
+Field<Columns> column_field(std::string_view key, bool required, std::string_view doc,
+                            std::vector<double> Columns::*column, Check bad) {
+    return {key, required, doc,
+            [=](const json& v, const Place& p, Columns& out) { out.*column = read_column(v, p, bad); }};
+}
+
+Field<Columns> sigma_field() {
+    return {"sigma", false, "standard deviation of brdf, same unit", [](const json& v, const Place& p, Columns& out) {
+                out.sigma = read_column(v, p, bad_sigma);
+                out.has_sigma = true;
+            }};
+}
+
+const std::vector<Field<Columns>> kScanFields{
+    {"theta_i_deg", true, "incidence angle",
+     [](const json& v, const Place& p, Columns& out) { out.scan_theta_i = read_checked(v, p, bad_theta_i); }},
+    column_field("theta_r_deg", true, "exitant angles, signed: positive = specular side", &Columns::theta_r,
+                 bad_theta_r),
+    column_field("brdf", true, "BRDF values", &Columns::brdf, bad_brdf),
+    sigma_field(),
+};
+
+const std::vector<Field<Columns>> kSamplesFields{
+    column_field("theta_i_deg", true, "incidence angles", &Columns::theta_i, bad_theta_i),
+    {"phi_i_deg", false, "azimuths of incidence; 0 if absent",
+     [](const json& v, const Place& p, Columns& out) {
+         out.phi_i = read_column(v, p, bad_phi);
+         out.has_phi_i = true;
+     }},
+    column_field("theta_r_deg", true, "exitant angles", &Columns::theta_r, bad_theta_r),
+    column_field("phi_r_deg", true, "exitant azimuths: phi_r - phi_i = 180 is the specular side", &Columns::phi_r,
+                 bad_phi),
+    column_field("brdf", true, "BRDF values", &Columns::brdf, bad_brdf),
+    sigma_field(),
+};
+
+bool same_length(const Place& place, std::string_view key, std::size_t length, std::size_t expected) {
+    if (length == expected) return true;
+    place.at(key).fail("ragged",
+                       "has " + std::to_string(length) + " elements where theta_r_deg has " + std::to_string(expected));
+    return false;
+}
+
+void append_scan(const json& value, const Place& place, Channel& out) {
+    Columns columns;
+    read_object<Columns>(value, place, kScanFields, columns);
+    const std::size_t n = columns.theta_r.size();
+    if (!value.is_object() || !value.contains("brdf") || !value.contains("theta_r_deg")) return;
+    if (n == 0) place.at("theta_r_deg").fail("empty", "must have at least one element");
+    bool whole = same_length(place, "brdf", columns.brdf.size(), n);
+    if (columns.has_sigma) whole = same_length(place, "sigma", columns.sigma.size(), n) && whole;
+    if (!whole || !columns.scan_theta_i) return;
+    for (std::size_t j = 0; j < n; ++j) {
+        Sample sample{{*columns.scan_theta_i, columns.theta_r[j], 0}, columns.brdf[j], {}};
+        if (columns.has_sigma) sample.sigma = columns.sigma[j];
+        out.samples.push_back(sample);
+    }
+}
+
+void append_samples(const json& value, const Place& place, Channel& out) {
+    Columns columns;
+    read_object<Columns>(value, place, kSamplesFields, columns);
+    if (!value.is_object() || !value.contains("theta_r_deg")) return;
+    const std::size_t n = columns.theta_r.size();
+    if (n == 0) place.at("theta_r_deg").fail("empty", "must have at least one element");
+    bool whole = true;
+    for (const auto& [key, column] :
+         {std::pair{"theta_i_deg", &columns.theta_i}, std::pair{"phi_i_deg", &columns.phi_i},
+          std::pair{"phi_r_deg", &columns.phi_r}, std::pair{"brdf", &columns.brdf}, std::pair{"sigma", &columns.sigma}})
+        if (value.contains(key)) whole = same_length(place, key, column->size(), n) && whole;
+        else if (std::string_view(key) != "phi_i_deg" && std::string_view(key) != "sigma") whole = false;
+    if (!whole) return;
+    const bool has_sign = std::any_of(columns.theta_r.begin(), columns.theta_r.end(), [](double t) { return t < 0; });
+    for (std::size_t j = 0; j < n; ++j) {
+        const auto direction =
+            direction_of(columns.theta_i[j], columns.theta_r[j], columns.has_phi_i ? columns.phi_i[j] : 0.0,
+                         columns.phi_r[j], has_sign ? Signs::meaningful : Signs::absent);
+        if (!direction) {
+            place.at("theta_r_deg")
+                .at(j)
+                .fail("contradiction",
+                      "the sign (positive = specular side) contradicts phi_r - phi_i "
+                      "(180 = specular side)");
+            continue;
+        }
+        Sample sample{*direction, columns.brdf[j], {}};
+        if (columns.has_sigma) sample.sigma = columns.sigma[j];
+        out.samples.push_back(sample);
+    }
+}
+
+const std::vector<Field<Channel>> kChannelFields{
+    {"name", false, "name; the wavelength or the position if absent",
+     [](const json& v, const Place& p, Channel& out) { out.name = read_text(v, p).value_or(""); }},
+    {"wavelength_nm", false, "wavelength",
+     [](const json& v, const Place& p, Channel& out) { out.wavelength_nm = read_checked(v, p, bad_wavelength); }},
+    {"scans", false, "scans in the plane of incidence",
+     [](const json& v, const Place& p, Channel& out) {
+         if (!v.is_array()) return p.fail("wrong_type", "must be an array");
+         for (std::size_t i = 0; i < v.size(); ++i) append_scan(v[i], p.at(i), out);
+     }},
+    {"samples", false, "samples in any direction, as columns", append_samples},
+};
+
+void read_channels(const json& value, const Place& place, Dataset& out) {
+    if (!value.is_array() || value.empty() || value.size() > kMostChannels) {
+        place.fail("wrong_type", "must be an array of 1 to " + std::to_string(kMostChannels) + " channels");
+        return;
+    }
+    std::set<std::string> names;
+    std::size_t samples = 0;
+    for (std::size_t i = 0; i < value.size(); ++i) {
+        Channel channel;
+        read_object<Channel>(value[i], place.at(i), kChannelFields, channel);
+        if (channel.samples.empty() && value[i].is_object() && !value[i].contains("scans") &&
+            !value[i].contains("samples"))
+            place.at(i).fail("missing", "must have scans or samples");
+        if (channel.name.empty())
+            channel.name = channel.wavelength_nm ? wavelength_name(*channel.wavelength_nm) : std::to_string(i + 1);
+        if (!names.insert(channel.name).second)
+            place.at(i).at("name").fail("duplicate", "a channel of that name stands before");
+        samples += channel.samples.size();
+        if (samples > kMostSamples) {
+            place.at(i).fail("too_many", "at most " + std::to_string(kMostSamples) + " samples in a request");
+            return;
+        }
+        out.channels.push_back(std::move(channel));
+    }
+}
+
+const std::vector<Field<Dataset>> kDatasetFields{
+    {"name", false, "of the surface",
+     [](const json& v, const Place& p, Dataset& out) { out.name = read_text(v, p).value_or(""); }},
+    {"unit", false, "of all BRDF values",
+     [](const json& v, const Place& p, Dataset& out) {
+         if (const auto unit = read_choice(v, p, kUnits)) out.unit = *unit;
+     }},
+    {"channels", true, "wavelengths or colours", read_channels},
+};
+
+// ---- the whole ----
+
+/// What the fields cannot say one by one: enough samples, bounds within domains, sigma for chi2.
+void check_together(const FitRequest& request, bool models_given, const Place& place) {
+    for (std::size_t c = 0; c < request.dataset.channels.size(); ++c) {
+        const Channel& channel = request.dataset.channels[c];
+        const Place channel_place = place.at("dataset").at("channels").at(c);
+        if (channel.samples.empty()) {
+            channel_place.fail("empty", "the channel has no samples");
+            continue;
+        }
+        if (request.options.loss == optim::Loss::chi2 &&
+            !std::all_of(channel.samples.begin(), channel.samples.end(), [](const Sample& s) { return s.sigma; }))
+            place.at("options").at("loss").fail("needs_sigma",
+                                                "chi2 needs sigma at every sample of channel " + channel.name);
+        bool possible = false;
+        for (std::size_t m = 0; m < request.models.size(); ++m) {
+            const ModelRequest& model = request.models[m];
+            const Place model_place = place.at("models").at(m);
+            try {
+                const std::size_t needed = samples_needed(model, channel);
+                (void)parameter_bounds(model.family->variant(model.most_lobes()), model, channel);
+                possible = possible || needed <= channel.samples.size();
+                if (models_given && needed > channel.samples.size())
+                    channel_place.fail("too_few_samples", "has " + std::to_string(channel.samples.size()) +
+                                                              " samples, fewer than the " + std::to_string(needed) +
+                                                              " free parameters of " + model.family->name);
+            } catch (const optim::InvalidBounds& error) {
+                const bool is_fixed = model.fixed.count(error.parameter) != 0;
+                model_place.at(is_fixed ? "fixed" : "bounds").at(error.parameter).fail("out_of_range", error.what());
+            }
+        }
+        if (!models_given && !possible)
+            channel_place.fail("too_few_samples", "has fewer samples than any model has parameters");
+    }
+}
+
+struct RawRequest {
+    const json* dataset = nullptr;
+    const json* models = nullptr;
+    const json* options = nullptr;
+};
+
+const std::vector<Field<RawRequest>> kRequestFields{
+    {"dataset", true, "the measurements", [](const json& v, const Place&, RawRequest& out) { out.dataset = &v; }},
+    {"models", false, "models to fit; all if absent",
+     [](const json& v, const Place&, RawRequest& out) { out.models = &v; }},
+    {"options", false, "options of the fit", [](const json& v, const Place&, RawRequest& out) { out.options = &v; }},
+};
+
+[[noreturn]] void refuse(std::vector<FieldError> errors) {
+    const FieldError& first = errors.front();
+    throw Refusal({422, "invalid-request", first.pointer + ": " + first.detail, std::move(errors)});
+}
+
+/// Models and options into the request, then the checks over everything.
+void finish(const RawRequest& raw, const kernels::Catalogue& catalogue, FitRequest& request,
+            std::vector<FieldError>& errors) {
+    const Place root(errors, "");
+    if (raw.models != nullptr) read_models(*raw.models, root.at("models"), catalogue, request.models);
+    else
+        for (const kernels::Family& family : catalogue.families()) request.models.push_back({&family, {}, {}, {}});
+    if (raw.options != nullptr)
+        read_object<FitOptions>(*raw.options, root.at("options"), kOptionFields, request.options);
+    if (errors.empty()) check_together(request, raw.models != nullptr, root);
+    if (!errors.empty()) refuse(std::move(errors));
+}
+
+/// A query parameter's text as JSON: a number where it is one.
+json query_value(const std::string& text) {
+    double number = 0;
+    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
+    if (error == std::errc{} && end == text.data() + text.size() && std::isfinite(number)) return number;
+    return text;
+}
+
+}  // namespace
+
+FitRequest read_fit_request(std::string_view body, const kernels::Catalogue& catalogue) {
+    const json document = parse_json(body);
+    std::vector<FieldError> errors;
+    const Place root(errors, "");
+    RawRequest raw;
+    read_object<RawRequest>(document, root, kRequestFields, raw);
+    FitRequest request;
+    if (raw.dataset != nullptr && raw.dataset->is_string())
+        root.at("dataset").fail("unknown_dataset", "there is no stored dataset of that id");
+    else if (raw.dataset != nullptr)
+        read_object<Dataset>(*raw.dataset, root.at("dataset"), kDatasetFields, request.dataset);
+    finish(raw, catalogue, request, errors);
+    return request;
+}
+
+FitRequest read_fit_request_csv(std::string_view body, const Query& query, const kernels::Catalogue& catalogue) {
+    FitRequest request;
+    std::vector<FieldError> errors;
+    const Place root(errors, "");
+    json models;
+    json options = json::object();
+    json dataset = json::object();
+    for (const auto& [key, value] : query) {
+        const auto is_key = [&key = key](const auto& field) { return field.key == key; };
+        if (query.count(key) > 1) root.at(key).fail("duplicate_key", "the query parameter stands twice");
+        else if (key == "models") {
+            models = json::array();
+            for (std::size_t at = 0; at <= value.size();) {
+                const std::size_t comma = std::min(value.find(',', at), value.size());
+                models.push_back(value.substr(at, comma - at));
+                at = comma + 1;
+            }
+        } else if (key == "unit" || key == "name") dataset[key] = value;
+        else if (std::any_of(kOptionFields.begin(), kOptionFields.end(), is_key)) options[key] = query_value(value);
+        else {
+            std::string names = "models, unit, name";
+            for (const auto& field : kOptionFields) names += ", " + std::string(field.key);
+            root.at(key).fail("unknown_key", "unknown query parameter; valid are: " + names);
+        }
+    }
+    request.dataset = read_csv(body);
+    for (const auto& field : kDatasetFields)
+        if (dataset.contains(field.key)) field.read(dataset[field.key], root.at(field.key), request.dataset);
+    RawRequest raw;
+    if (!models.is_null()) raw.models = &models;
+    raw.options = &options;
+    finish(raw, catalogue, request, errors);
+    return request;
+}
+
+}  // namespace brdfit::api

@@ -1,0 +1,159 @@
+#include "api/response.h"
+
+#include <cmath>
+
+#include <nlohmann/json.hpp>
+
+#include "api/names.h"
+#include "api/samples.h"
+
+namespace brdfit::api {
+namespace {
+
+using Json = nlohmann::ordered_json;  // members in the order people read them
+
+std::string text_of(const Json& body) { return body.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n"; }
+
+Json number(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
+Json number(const std::optional<double>& value) { return value ? number(*value) : Json(nullptr); }
+
+std::string url_encoded(std::string_view text) {
+    constexpr std::string_view kHex = "0123456789ABCDEF";
+    std::string out;
+    for (const char c : text) {
+        const auto byte = static_cast<unsigned char>(c);
+        if (std::isalnum(byte) != 0 || c == '-' || c == '_' || c == '.' || c == '~') out += c;
+        else out += {'%', kHex[byte >> 4], kHex[byte & 15]};
+    }
+    return out;
+}
+
+Json device_json(const kernels::DeviceInfo& device) {
+    return {{"name", device.name}, {"platform", device.platform}, {"type", device.type}};
+}
+
+Json parameter_json(const optim::FittedParameter& p) {
+    Json json{
+        {"value", number(p.value)}, {"std_error", number(p.std_error)}, {"unit", p.unit}, {"at_bound", p.at_bound}};
+    if (p.fixed) json["fixed"] = true;
+    return json;
+}
+
+Json fit_json(const optim::Fit& fit, const std::string& plot_link) {
+    Json json{{"rank", fit.rank}, {"model", fit.model}};
+    if (fit.lobes > 0) json["lobes"] = fit.lobes;
+    json["parameters"] = Json::object();
+    for (const optim::FittedParameter& p : fit.parameters) json["parameters"][p.name] = parameter_json(p);
+    if (fit.scale) json["scale"] = number(*fit.scale);
+    json["loss"] = number(fit.loss);
+    json["relative_loss"] = number(fit.relative_loss);
+    json["rmse"] = number(fit.rmse);
+    json["log10_rmse"] = number(fit.log10_rmse);
+    json["aicc"] = number(fit.aicc);
+    json["bic"] = number(fit.bic);
+    json["scans"] = Json::array();
+    for (const optim::ScanError& scan : fit.scans)
+        json["scans"].push_back(
+            {{"theta_i_deg", scan.theta_i_deg}, {"rmse", number(scan.rmse)}, {"log10_rmse", number(scan.log10_rmse)}});
+    json["search"] = {{"starts", fit.search.starts},
+                      {"agreed", fit.search.agreed},
+                      {"evaluations", fit.search.evaluations},
+                      {"stop_reason", name_of(kStopReasons, fit.search.stop_reason)},
+                      {"time_s", number(fit.search.time_s)}};
+    if (!fit.warnings.empty()) json["warnings"] = fit.warnings;
+    json["links"] = {{"plot", plot_link}};
+    return json;
+}
+
+Json channel_json(const optim::ChannelReport& channel, const std::string& plots, bool one_of_many) {
+    Json json{{"name", channel.channel.name}};
+    if (channel.channel.wavelength_nm) json["wavelength_nm"] = *channel.channel.wavelength_nm;
+    json["samples"] = channel.channel.samples.size();
+    const std::string which = one_of_many ? "&channel=" + url_encoded(channel.channel.name) : "";
+    json["fits"] = Json::array();
+    for (const optim::Fit& fit : channel.fits)
+        json["fits"].push_back(fit_json(fit, plots + "brdf.svg?models=" + fit.model + which));
+    json["failures"] = Json::array();
+    for (const optim::Failure& failure : channel.failures)
+        json["failures"].push_back({{"model", failure.model}, {"reason", failure.reason}});
+    if (!channel.warnings.empty()) json["warnings"] = channel.warnings;
+    return json;
+}
+
+Json model_parameter_json(const kernels::Model& model, std::size_t index) {
+    const kernels::Parameter& p = model.parameters[index];
+    return {{"name", p.name},
+            {"unit", p.unit},
+            {"min", p.min},
+            {"max", p.max},
+            {"scale", p.scale == kernels::Scale::logarithmic ? "log" : "linear"},
+            {"linear", model.is_linear(index)},
+            {"doc", p.doc}};
+}
+
+Json family_json(const kernels::Family& family) {
+    const kernels::Model& model = family.variants.back();
+    Json json{{"name", family.name}, {"title", model.title}, {"source", model.source}, {"formula", model.formula}};
+    json["parameters"] = Json::array();
+    for (std::size_t i = 0; i < model.parameters.size(); ++i)
+        json["parameters"].push_back(model_parameter_json(model, i));
+    if (family.repeat)
+        json["options"] = {{family.repeat->option,
+                            {{"min", family.repeat->min},
+                             {"max", family.repeat->max},
+                             {"default", "auto"},
+                             {"auto_max", family.repeat->auto_max}}}};
+    json["traits"] = Json::object();
+    for (const auto& [name, value] : model.traits) json["traits"][name] = value;
+    json["links"] = {{"self", "/v1/models/" + family.name}};
+    return json;
+}
+
+}  // namespace
+
+std::string version() { return BRDFIT_VERSION; }
+
+std::string to_json(const optim::Report& report, const std::string& id) {
+    const std::string self = "/v1/fits/" + id;
+    const std::string plots = self + "/plots/";
+    bool any = false;
+    Json channels = Json::array();
+    for (const optim::ChannelReport& channel : report.channels) {
+        channels.push_back(channel_json(channel, plots, report.channels.size() > 1));
+        any = any || !channel.fits.empty();
+    }
+    Json device = device_json(report.device);
+    device["precision"] = name_of(kPrecisions, report.precision);
+    return text_of({{"id", id},
+                    {"state", any ? "succeeded" : "failed"},
+                    {"version", version()},
+                    {"seed", report.seed},
+                    {"device", device},
+                    {"dataset", {{"name", report.dataset}, {"unit", name_of(kUnits, report.unit)}}},
+                    {"channels", channels},
+                    {"links",
+                     {{"self", self},
+                      {"result", self + "/result"},
+                      {"plots",
+                       {{"brdf", plots + "brdf.svg"},
+                        {"residual", plots + "residual.svg"},
+                        {"summary", plots + "summary.svg"}}}}}});
+}
+
+std::string to_json(const kernels::Catalogue& catalogue) {
+    Json models = Json::array();
+    for (const kernels::Family& family : catalogue.families()) models.push_back(family_json(family));
+    return text_of({{"models", models}});
+}
+
+std::string to_json(const kernels::Family& family) { return text_of(family_json(family)); }
+
+std::string service_json(const kernels::DeviceInfo& device, std::size_t largest_body) {
+    return text_of({{"name", "brdfit"},
+                    {"version", version()},
+                    {"device", device_json(device)},
+                    {"limits", {{"body_bytes", largest_body}, {"samples", kMostSamples}, {"channels", kMostChannels}}},
+                    {"links", {{"models", "/v1/models"}, {"fits", "/v1/fits"}, {"health", "/health/live"}}}});
+}
+
+}  // namespace brdfit::api

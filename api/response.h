@@ -1,0 +1,24 @@
+/// Answers as JSON text.
+#pragma once
+
+#include <string>
+
+#include "kernels/model.h"
+#include "optim/report.h"
+
+namespace brdfit::api {
+
+/// The version of this program, "1.2.3".
+std::string version();
+
+/// The ranked fits of a job (WIRE: the answer of POST /v1/fits). Numbers are finite; what is not known is null.
+std::string to_json(const optim::Report& report, const std::string& id);
+
+/// All models, or one (GET /v1/models, /v1/models/{name}).
+std::string to_json(const kernels::Catalogue& catalogue);
+std::string to_json(const kernels::Family& family);
+
+/// GET /v1: what this service is.
+std::string service_json(const kernels::DeviceInfo& device, std::size_t largest_body);
+
+}  // namespace brdfit::api

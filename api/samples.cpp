@@ -1,0 +1,54 @@
+#include "api/samples.h"
+
+#include <array>
+#include <charconv>
+#include <cmath>
+
+namespace brdfit::api {
+namespace {
+
+std::optional<std::string> unless(bool good, const char* reason) {
+    return good ? std::nullopt : std::optional<std::string>(reason);
+}
+
+}  // namespace
+
+std::optional<std::string> bad_theta_i(double degrees) {
+    return unless(degrees >= 0 && degrees < 90,
+                  "theta_i_deg must lie in [0, 90); the side of the specimen is the sign of theta_r_deg");
+}
+std::optional<std::string> bad_theta_r(double degrees) {
+    return unless(degrees > -90 && degrees < 90, "theta_r_deg must lie in (-90, 90)");
+}
+std::optional<std::string> bad_phi(double degrees) {
+    return unless(std::abs(degrees) <= 360, "phi must lie in [-360, 360]");
+}
+std::optional<std::string> bad_brdf(double value) {
+    return unless(std::abs(value) <= 1e30, "a BRDF value must be finite and at most 1e30 in size");
+}
+std::optional<std::string> bad_sigma(double value) {
+    return unless(value > 0 && value <= 1e30, "sigma must be positive and finite");
+}
+std::optional<std::string> bad_wavelength(double nm) {
+    return unless(nm >= 1 && nm <= 1e7, "wavelength_nm must lie in [1, 1e7]");
+}
+
+std::string wavelength_name(double nm) {
+    std::array<char, 32> buffer{};
+    const auto end = std::to_chars(buffer.data(), buffer.data() + buffer.size(), nm).ptr;
+    return std::string(buffer.data(), end) + "nm";
+}
+
+std::optional<kernels::Direction> direction_of(double theta_i_deg, double theta_r_deg, double phi_i_deg,
+                                               double phi_r_deg, Signs signs) {
+    const double phi_deg = std::remainder(phi_r_deg - phi_i_deg - 180, 360);  // from the specular half-plane
+    if (signs == Signs::meaningful && theta_r_deg != 0) {
+        const bool specular_half = std::abs(phi_deg) < 90;
+        const bool edge = std::abs(phi_deg) == 90;
+        if (!edge && specular_half != (theta_r_deg > 0)) return std::nullopt;
+    }
+    const double theta_deg = signs == Signs::meaningful ? std::abs(theta_r_deg) : theta_r_deg;
+    return kernels::canonical({theta_i_deg, theta_deg, phi_deg});
+}
+
+}  // namespace brdfit::api
