@@ -1,0 +1,149 @@
+/// The program `brdfit`: reads the command line and wires the parts.
+#include <cstdio>
+#include <filesystem>
+#include <fstream>
+#include <iterator>
+#include <string>
+#include <thread>
+#include <vector>
+
+#include <spdlog/sinks/stdout_sinks.h>
+#include <spdlog/spdlog.h>
+#include <CLI/CLI.hpp>
+
+#include "api/plot.h"
+#include "api/problem.h"
+#include "api/request.h"
+#include "api/response.h"
+#include "client/table.h"
+#include "kernels/engine.h"
+#include "kernels/model.h"
+#include "optim/fit.h"
+#include "server/serve.h"
+
+namespace {
+
+using namespace brdfit;
+
+struct FitArguments {
+    std::string file;
+    std::vector<std::string> options;  // key=value, as in the query of POST /v1/fits
+    std::string device = "auto";
+    std::vector<std::filesystem::path> model_folders;
+    std::string plots;
+    bool json = false;
+};
+
+std::string read_file(const std::string& name) {
+    std::ifstream in(name, std::ios::binary);
+    std::string text{std::istreambuf_iterator<char>(in), {}};
+    if (!in) throw std::runtime_error(name + ": cannot be read");
+    return text;
+}
+
+void write_file(const std::filesystem::path& path, const std::string& text) {
+    std::ofstream out(path, std::ios::binary);
+    if (!(out << text).flush()) throw std::runtime_error(path.string() + ": cannot be written");
+}
+
+void fit(const FitArguments& arguments) {
+    const kernels::Catalogue catalogue(arguments.model_folders);
+    api::Query query{{"name", std::filesystem::path(arguments.file).stem().string()}};
+    for (const std::string& option : arguments.options) {
+        const auto equals = option.find('=');
+        if (equals == std::string::npos) throw std::runtime_error("an option is key=value, not \"" + option + "\"");
+        if (option.starts_with("name=")) query.clear();
+        query.emplace(option.substr(0, equals), option.substr(equals + 1));
+    }
+    const std::string text = read_file(arguments.file);
+    const bool is_json = std::filesystem::path(arguments.file).extension() == ".json";
+    const api::FitRequest request =
+        is_json ? api::read_fit_request(text, catalogue) : api::read_fit_request_csv(text, query, catalogue);
+    kernels::Engine engine({arguments.device, {}});
+    optim::Fitter fitter(engine, std::thread::hardware_concurrency());
+    const optim::Report report = fitter.fit(request.dataset, request.models, request.options);
+    if (arguments.json) std::fputs(api::to_json(report, "local").c_str(), stdout);
+    else std::fputs(client::table(report).c_str(), stdout);
+    if (arguments.plots.empty()) return;
+    std::filesystem::create_directories(arguments.plots);
+    write_file(std::filesystem::path(arguments.plots) / "summary.svg", api::plot_summary(report, {}));
+    for (std::size_t c = 0; c < report.channels.size(); ++c) {
+        api::PlotOptions options;
+        options.channel = report.channels[c].channel.name;
+        const std::string suffix = report.channels.size() > 1 ? "_" + std::to_string(c + 1) : "";
+        write_file(std::filesystem::path(arguments.plots) / ("brdf" + suffix + ".svg"), plot_brdf(report, options));
+        write_file(std::filesystem::path(arguments.plots) / ("residual" + suffix + ".svg"),
+                   plot_residual(report, options));
+    }
+}
+
+void print_refusal(const std::string& file, const api::Problem& problem) {
+    for (const api::FieldError& error : problem.errors) {
+        std::string place = file;
+        if (error.line) place += ":" + std::to_string(*error.line);
+        if (error.column) place += ":" + std::to_string(*error.column);
+        std::fprintf(stderr, "%s: %s%s%s\n", place.c_str(), error.pointer.c_str(), error.pointer.empty() ? "" : ": ",
+                     error.detail.c_str());
+    }
+    if (problem.errors.empty()) std::fprintf(stderr, "%s: %s\n", file.c_str(), problem.detail.c_str());
+}
+
+void list_devices() {
+    for (const kernels::DeviceInfo& device : kernels::list_devices())
+        std::printf("%-4s %-6s %s (%s, %s)\n", device.type.c_str(), device.has_double ? "double" : "single",
+                    device.name.c_str(), device.platform.c_str(), device.version.c_str());
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    spdlog::set_default_logger(
+        std::make_shared<spdlog::logger>("brdfit", std::make_shared<spdlog::sinks::stderr_sink_mt>()));
+    CLI::App app{"Fits reflectance models to BRDF measurements and ranks them."};
+    app.set_version_flag("--version", api::version());
+    app.require_subcommand(1);
+
+    server::ServeOptions serve_options;
+    CLI::App* serve = app.add_subcommand("serve", "Answer HTTP requests until SIGTERM");
+    serve->add_option("--host", serve_options.host, "Loopback address to bind")->capture_default_str();
+    serve->add_option("--port", serve_options.port, "Port to bind; 0 takes a free one")
+        ->check(CLI::Range(0, 65535))
+        ->capture_default_str();
+    serve->add_option("--threads", serve_options.threads, "Searches at once; 0: one a core")
+        ->check(CLI::Range(0, 1024));
+
+    FitArguments fit_arguments;
+    CLI::App* fit_command = app.add_subcommand("fit", "Fit a CSV file, or a JSON request, without a server");
+    fit_command->add_option("file", fit_arguments.file, "Measurements")->required();
+    fit_command->add_option("options", fit_arguments.options,
+                            "key=value as in the query of POST /v1/fits, e.g. models=ward,phong loss=l2 (CSV only)");
+    fit_command->add_flag("--json", fit_arguments.json, "Print the answer of the service instead of a table");
+    fit_command->add_option("--plots", fit_arguments.plots, "Folder to write SVG error plots to");
+
+    std::vector<std::filesystem::path> folders;
+    CLI::App* models = app.add_subcommand("models", "Print the models as JSON");
+    CLI::App* devices = app.add_subcommand("devices", "List OpenCL devices, the preferred one first");
+    for (CLI::App* command : {serve, fit_command, models})
+        command->add_option("--models", folders, "Folder with further model files (*.cl)")
+            ->check(CLI::ExistingDirectory);
+    for (CLI::App* command : {serve, fit_command})
+        command->add_option("--device", serve_options.device, "auto, cpu, gpu, or a part of the device's name")
+            ->capture_default_str();
+    CLI11_PARSE(app, argc, argv);
+
+    serve_options.model_folders = fit_arguments.model_folders = folders;
+    fit_arguments.device = serve_options.device;
+    try {
+        if (serve->parsed()) server::serve(serve_options);
+        if (fit_command->parsed()) fit(fit_arguments);
+        if (models->parsed()) std::fputs(api::to_json(kernels::Catalogue(folders)).c_str(), stdout);
+        if (devices->parsed()) list_devices();
+    } catch (const api::Refusal& refusal) {
+        print_refusal(fit_arguments.file, refusal.problem());
+        return 2;
+    } catch (const std::exception& error) {
+        std::fprintf(stderr, "brdfit: %s\n", error.what());
+        return 1;
+    }
+    return 0;
+}

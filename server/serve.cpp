@@ -1,0 +1,64 @@
+#include "server/serve.h"
+
+#include <csignal>
+#include <cstdio>
+#include <stdexcept>
+#include <stop_token>
+#include <thread>
+
+#include <spdlog/spdlog.h>
+
+#include "api/response.h"
+#include "kernels/engine.h"
+#include "kernels/model.h"
+#include "optim/fit.h"
+#include "server/http.h"
+#include "server/job.h"
+#include "server/routes.h"
+
+namespace brdfit::server {
+namespace {
+
+/// Reports with their samples and curves are kept for the plots: about 1 MB for a large one.
+constexpr std::size_t kKeptJobs = 256;
+
+bool is_loopback(const std::string& host) { return host == "localhost" || host == "::1" || host.starts_with("127."); }
+
+}  // namespace
+
+void serve(const ServeOptions& options) {
+    if (!is_loopback(options.host))
+        throw std::runtime_error("the service has no authentication yet: it binds loopback addresses only, not " +
+                                 options.host);
+    sigset_t signals;
+    sigemptyset(&signals);
+    sigaddset(&signals, SIGTERM);
+    sigaddset(&signals, SIGINT);
+    pthread_sigmask(SIG_BLOCK, &signals, nullptr);  // inherited by every thread: one waits for them
+
+    const kernels::Catalogue catalogue(options.model_folders);
+    kernels::Engine engine({options.device, {}});
+    MemoryJobStore store(kKeptJobs);
+    const unsigned threads = options.threads != 0 ? options.threads : std::thread::hardware_concurrency();
+    optim::Fitter fitter(engine, threads);
+    std::stop_source stop;
+    const Routes routes(catalogue, fitter, store, stop.get_token());
+    HttpServer http(routes);
+    const int port = http.bind(options.host, options.port);  // a taken port is told before the compiler runs
+    fitter.warm_up(catalogue);
+
+    std::jthread waiter([&] {
+        int signal = 0;
+        sigwait(&signals, &signal);
+        spdlog::info("stopping on signal {}", signal);
+        pthread_sigmask(SIG_UNBLOCK, &signals, nullptr);  // the next one ends the process
+        stop.request_stop();
+        http.stop();
+    });
+    std::printf("brdfit %s listens on http://%s:%d, computing on %s\n", api::version().c_str(), options.host.c_str(),
+                port, engine.device().name.c_str());
+    std::fflush(stdout);
+    http.serve();
+}
+
+}  // namespace brdfit::server

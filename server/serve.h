@@ -1,0 +1,22 @@
+/// `brdfit serve`: the service, from options to exit status.
+#pragma once
+
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace brdfit::server {
+
+struct ServeOptions {
+    std::string host = "127.0.0.1";  ///< a loopback address
+    int port = 8080;                 ///< 0: a free one
+    std::string device = "auto";
+    std::vector<std::filesystem::path> model_folders{};
+    unsigned threads = 0;  ///< searches at once; 0: one a core
+};
+
+/// Serves until SIGTERM or SIGINT; a second signal ends the process at once. Call it on the main thread before others
+/// exist. Throws std::runtime_error for options that cannot be met, and what engine and catalogue throw.
+void serve(const ServeOptions& options);
+
+}  // namespace brdfit::server
