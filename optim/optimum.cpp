@@ -71,7 +71,9 @@ std::vector<Start> special_cases(const Task& task, const std::vector<Interval>& 
             narrowed[parameter] = {value, value};
         }
         if (!possible || !narrower) continue;
-        const Optimum optimum = find_optimum(task, narrowed, nullptr, SpecialCases::pass_over);
+        Task quick = task;  // a start among others needs no certainty
+        quick.effort = Effort::draft;
+        const Optimum optimum = find_optimum(quick, narrowed, nullptr, SpecialCases::pass_over);
         record.evaluations += optimum.record.evaluations;
         starts.push_back({optimum.parameters, optimum.scale});
     }

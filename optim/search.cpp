@@ -21,6 +21,10 @@ struct NloptDelete {
 };
 using Nlopt = std::unique_ptr<std::remove_pointer_t<nlopt_opt>, NloptDelete>;
 
+bool all_finite(std::span<const double> values) {
+    return std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
+}
+
 /// Carries an objective through NLopt's C interface. NLopt turns foreign exceptions into a bare failure, so they are
 /// kept here and thrown again; it may end away from its best point, so that is kept too.
 struct Adapter {
@@ -30,6 +34,7 @@ struct Adapter {
     std::vector<double> best_u{};
     double best = std::numeric_limits<double>::infinity();
     bool timed_out = false;
+    bool lost = false;  ///< the optimiser asked for a point that is no number
     std::exception_ptr error{};
 
     static double call(unsigned n, const double* u, double* gradient, void* self) {
@@ -43,10 +48,15 @@ struct Adapter {
                 timed_out = true;
                 nlopt_force_stop(opt);
             }
+            if (!all_finite(u)) {  // SLSQP's own round-off: what was found before stands
+                lost = true;
+                nlopt_force_stop(opt);
+                std::fill(gradient.begin(), gradient.end(), 0.0);
+                return std::numeric_limits<double>::max();
+            }
             const double value = objective(u, gradient);
             // SLSQP can spin for ever on a NaN.
-            if (!std::isfinite(value) ||
-                !std::all_of(gradient.begin(), gradient.end(), [](double g) { return std::isfinite(g); }))
+            if (!std::isfinite(value) || !all_finite(gradient))
                 throw SearchError("the model gave a value that is not finite");
             if (value < best) {
                 best = value;
@@ -66,6 +76,7 @@ struct Adapter {
         if (timed_out || result == NLOPT_MAXTIME_REACHED) return StopReason::time_limit;
         if (result == NLOPT_MAXEVAL_REACHED) return StopReason::evaluation_limit;
         if (result == NLOPT_ROUNDOFF_LIMITED) return StopReason::roundoff;
+        if (lost) return StopReason::roundoff;
         // SLSQP says "failure" where its line search finds no descent along a gradient lost in round-off.
         if (result == NLOPT_FAILURE) return StopReason::roundoff;
         if (result < 0) throw SearchError("the optimiser refused the problem");
@@ -211,7 +222,7 @@ constexpr std::size_t kSeedStarts = 4;
 SearchBudget budget(Effort effort, std::size_t dimension) {
     const std::size_t factor = effort == Effort::draft ? 1 : effort == Effort::standard ? 4 : 16;
     if (dimension <= 1) return {16 * factor, 2, 40, 100};
-    return {128 * factor * (dimension - 1), 4 * factor, static_cast<int>(50 * factor), 200};
+    return {32 * factor * (dimension - 1), 3 * factor, static_cast<int>(40 * factor), 200};
 }
 
 Minimum descend(const Objective& objective, std::vector<double> u, int max_evaluations, double tolerance,

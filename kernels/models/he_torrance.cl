@@ -112,27 +112,36 @@ inline Series poisson_series(real g, real a) {
     }
     const real width = sqrt(mode / (1.0 + 2.0 * (a / mode / mode)));
     mode = fmax(mode, (real)1.0);
-    const mask seen = poisson_deviance(mode, g) + a / mode < EXP_MIN; /* else every term underflows */
+    const real peak = poisson_deviance(mode, g) + a / mode;
+    const mask seen = peak < EXP_MIN; /* else every term underflows */
     if (!any_lane(seen)) return t;
 
-    /* The window that holds all but eps of the sum, log_epsilon = ln(1/eps); its upper end is a Bernstein bound. */
+    /* The window that holds all but eps of the sum, log_epsilon = ln(1/eps); its upper end is a Bernstein bound. Beyond
+     * the mode terms fall faster and faster, so a sum may end once a term is negligible. */
     const real L = LOG_EPSILON;
+    const real negligible = 0.03 * exp(-L);
     const real low = mode - sqrt(2.0 * L * mode) - 1.0;
     const real high = mode + L / 3.0 + sqrt(sqr(L) / 9.0 + 2.0 * L * mode);
 
-    /* A window from m = 1: the terms by their recurrence. */
+    /* A window from m = 1: the terms by their recurrence, the same m in every lane, four between looks at the end. */
     const mask direct = seen & (low < 2.0);
     if (any_lane(direct)) {
         real weight = sel(direct, g * exp(-g), 0.0);
-        real m = 1.0;
-        while (any_lane(direct & (m <= high + 1.0))) {
-            const real inverse = 1.0 / m;
-            const real term = weight * exp(-a * inverse) * inverse;
-            t.M1 += term;
-            t.M2 += term * inverse;
-            t.Q += term * (m - g);
-            m += 1.0;
-            weight *= g / m;
+        const real minus_a = -a;
+        scalar m = 1.0;
+        mask active = direct;
+        while (any_lane(active)) {
+            real term = 0.0;
+            for (int i = 0; i < 4; ++i) {
+                const scalar inverse = (scalar)1.0 / m;
+                term = weight * exp(minus_a * inverse) * inverse;
+                t.M1 += term;
+                t.M2 += term * inverse;
+                t.Q += term * (m - g);
+                m += (scalar)1.0;
+                weight *= g * ((scalar)1.0 / m);
+            }
+            active = (m <= high) & ((m <= mode) | (term > negligible * t.M1));
         }
     }
 
@@ -141,6 +150,10 @@ inline Series poisson_series(real g, real a) {
      * may be taken off and leaves terms of the order of the sum. Where the bell is narrow (g << m) nothing cancels. */
     const mask bell = seen & (low >= 2.0);
     if (any_lane(bell)) {
+        Series b;
+        b.M1 = 0.0;
+        b.M2 = 0.0;
+        b.Q = 0.0;
         const real stride = fmax(floor(width * (4.0 / sqrt(L))), (real)1.0);
         const mask smooth = width > 2.0;
         real m = sel(bell, floor(low), 1.0);
@@ -153,14 +166,18 @@ inline Series poisson_series(real g, real a) {
                 inverse * (1.0 / 12.0 -
                            z * (1.0 / 360.0 - z * (1.0 / 1260.0 - z * (1.0 / 1680.0 - z * (1.0 / 1188.0)))));
             const real stirling_slope = inverse * (1.0 / 12.0 - z * (1.0 / 120.0 - z * (1.0 / 252.0)));
-            const real density = stride * exp(-deviance - a * inverse - stirling) / sqrt(2.0 * PI * m);
+            const real density = stride * exp(peak - deviance - a * inverse - stirling) * sqrt(inverse / (2.0 * PI));
             const real term = sel(active, density * inverse, 0.0);
-            t.M1 += term;
-            t.M2 += term * inverse;
-            t.Q += term * sel(smooth, a * inverse - deviance - 0.5 + stirling_slope, m - g);
+            b.M1 += term;
+            b.M2 += term * inverse;
+            b.Q += term * sel(smooth, a * inverse - deviance - 0.5 + stirling_slope, m - g);
+            active = active & (m <= high) & ((m <= mode) | (term > negligible * b.M1));
             m += stride;
-            active = active & (m <= high);
         }
+        const real height = exp(-peak); /* apart, so that no term is denormal: those are slow */
+        t.M1 += height * b.M1;
+        t.M2 += height * b.M2;
+        t.Q += height * b.Q;
     }
     return t;
 }

@@ -11,7 +11,7 @@
       {"name": "c_xy", "unit": "1", "min": -3, "max": 3, "scale": "linear",
        "doc": "coefficient of the tangential product; negative for a forward lobe, positive for a retro-reflective one"},
       {"name": "c_z", "unit": "1", "min": -3, "max": 3, "scale": "linear", "doc": "coefficient of the normal product"},
-      {"name": "n", "unit": "1", "min": 0.01, "max": 1e4, "domain": [0, null], "typical": [1, 3e3], "scale": "log",
+      {"name": "n", "unit": "1", "min": 0.01, "max": 1e4, "domain": [0, null], "typical": [0.03, 3e3], "scale": "log",
        "doc": "exponent of the lobe"}
     ]
   },
