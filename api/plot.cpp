@@ -1,18 +1,18 @@
 #include "api/plot.h"
 
 #include <algorithm>
-#include <array>
 #include <cmath>
-#include <limits>
+#include <iterator>
 #include <map>
 #include <optional>
 #include <set>
 #include <stdexcept>
 #include <string_view>
-#include <type_traits>
 #include <utility>
 
 #include <fmt/format.h>
+
+#include "api/svg.h"
 
 namespace brdfit::api {
 namespace {
@@ -22,347 +22,18 @@ using optim::Fit;
 using optim::Report;
 
 constexpr double kLayoutWidth = 960;   ///< of the widest layout; a wider picture is scaled
-constexpr double kTolerance = 0.05;    ///< of drawn curves [px]
 constexpr double kAngleMatch = 1e-6;   ///< [deg]
 constexpr double kGoodDecades = 0.05;  ///< half width of the shaded band
 constexpr std::size_t kMaxPanels = 24;
 constexpr std::size_t kMaxChannels = 12;
 constexpr std::size_t kMaxCircles = 1500;  ///< more points than this in a picture become dots
-constexpr double kInfinity = std::numeric_limits<double>::infinity();
 
-// ---- text -----------------------------------------------------------------------------------------------------------
-
-/// Text that is XML already.
-struct Markup {
-    std::string xml;
-};
-
-/// Reads one code point; U+FFFD for what is not UTF-8 or not allowed in XML.
-char32_t next_code_point(std::string_view text, std::size_t& at) {
-    constexpr char32_t bad = 0xFFFD;
-    constexpr std::array<char32_t, 3> smallest{0x80, 0x800, 0x10000};
-    const char32_t lead = static_cast<unsigned char>(text[at++]);
-    if (lead < 0x80) return lead;
-    if (lead < 0xC2 || lead > 0xF4) return bad;
-    const unsigned extra = lead >= 0xF0 ? 3 : lead >= 0xE0 ? 2 : 1;
-    char32_t c = lead & (0x3Fu >> extra);
-    for (unsigned k = 0; k < extra; ++k, ++at) {
-        const char32_t next = at < text.size() ? static_cast<unsigned char>(text[at]) : 0u;
-        if ((next & 0xC0u) != 0x80u) return bad;
-        c = (c << 6) | (next & 0x3Fu);
-    }
-    const bool surrogate = c >= 0xD800 && c <= 0xDFFF;
-    return c < smallest[extra - 1] || surrogate || c > 0x10FFFF || (c & 0xFFFEu) == 0xFFFEu ? bad : c;
-}
-
-/// About the width of a wide font's character, in units of the font size.
-double advance(char32_t c) {
-    if ((c >= 0x1100 && c < 0x1200) || (c >= 0x2E80 && c < 0xFE00) || c >= 0x10000) return 1;
-    return (c >= U'A' && c <= U'Z') || c == U'm' || c == U'w' || c == U'%' || c == U'@' ? 0.8 : 0.56;
-}
-
-/// Escapes; a text wider than `room` (in units of the font size) ends in an ellipsis.
-Markup escape(std::string_view text, double room = kInfinity) {
-    std::string out;
-    std::size_t cut = 0;
-    double width = 0;
-    for (std::size_t at = 0; at < text.size();) {
-        const std::size_t begin = at;
-        char32_t c = next_code_point(text, at);
-        if (c == U'\t' || c == U'\n' || c == U'\r') c = U' ';
-        if (c < 0x20 || (c >= 0x7F && c < 0xA0)) continue;
-        if (width + 0.8 <= room) cut = out.size();
-        width += advance(c);
-        if (width > room) return {out.substr(0, cut) + "…"};
-        switch (c) {
-            case U'&': out += "&amp;"; break;
-            case U'<': out += "&lt;"; break;
-            case U'>': out += "&gt;"; break;
-            case U'"': out += "&quot;"; break;
-            case U'\'': out += "&#39;"; break;
-            case U' ': out += ' '; break;
-            case 0xFFFD: out += "\uFFFD"; break;
-            default: out += text.substr(begin, at - begin);
-        }
-    }
-    return {out};
-}
-
-/// With a subscript; a space after it needs dx, as librsvg drops it.
-Markup subscripted(std::string_view base, std::string_view index, std::string_view rest) {
-    return {fmt::format(R"({}<tspan dy="3" font-size="75%">{}</tspan><tspan dx="3" dy="-3">{}</tspan>)", base, index,
-                        rest)};
-}
-/// A printed number with a minus sign and powers of ten.
-Markup typeset(std::string text) {
-    const auto with_minus = [](const std::string& s) { return s.front() == '-' ? "−" + s.substr(1) : s; };
-    const std::size_t e = text.find('e');
-    if (e == std::string::npos) return {with_minus(text)};
-    const std::string factor = text.substr(0, e) == "1" ? "" : with_minus(text.substr(0, e)) + "×";
-    const std::string exponent = with_minus(fmt::format("{}", std::stoi(text.substr(e + 1))));
-    return {fmt::format(R"({}10<tspan dy="-4" font-size="75%">{}</tspan>)", factor, exponent)};
-}
-std::string plain(double value) { return typeset(fmt::format("{:g}", value == 0 ? 0.0 : value)).xml; }
-std::string brief(std::optional<double> value) {
-    if (!value || !std::isfinite(*value)) return "–";
-    if (*value == 0) return "0";
-    if (*value < 1e-3 || *value >= 1e5) return fmt::format("{:.1e}", *value);
-    return fmt::format("{:.{}f}", *value, std::max(0, 2 - static_cast<int>(std::floor(std::log10(*value)))));
-}
-std::string counted(std::size_t n, std::string_view noun) { return fmt::format("{} {}{}", n, noun, n == 1 ? "" : "s"); }
-
-// ---- SVG ------------------------------------------------------------------------------------------------------------
-
-/// At most two decimals, no needless zero.
-std::string pixels(double value) {
-    std::string text = fmt::format("{:.2f}", value);
-    text.erase(text.find_last_not_of('0') + 1);
-    if (text.back() == '.') text.pop_back();
-    return text == "-0" ? "0" : text;
-}
-template <class T>
-using Shown = std::conditional_t<std::is_floating_point_v<T>, std::string, T>;
-template <class T>
-Shown<T> shown(const T& value) {
-    if constexpr (std::is_floating_point_v<T>) return pixels(value);
-    else return value;
-}
-/// fmt::format where floating-point arguments are coordinates.
-template <class... Args>
-std::string xml(fmt::format_string<Shown<Args>...> format, const Args&... args) {
-    return fmt::format(format, shown(args)...);
-}
-
-constexpr std::string_view kMiddle = R"(text-anchor="middle")";
-constexpr std::string_view kEnd = R"(text-anchor="end")";
 constexpr std::string_view kHead = R"(text-anchor="end" fill="#666")";
 constexpr std::string_view kFailed = R"(font-size="11" fill="#666" font-style="italic")";
 constexpr std::string_view kCircle = R"(stroke="#555" stroke-width=".8" fill="#fff")";
 constexpr std::string_view kDot = R"(stroke="#8a8a8a" stroke-width="2" stroke-linecap="round")";
 
-struct Svg {
-    std::string out;
-
-    void text(double x, double y, const Markup& content, std::string_view attributes = "") {
-        out += xml("<text x=\"{}\" y=\"{}\" {}>{}</text>\n", x, y, attributes, content.xml);
-    }
-    /// With a title, which a browser shows on hovering; nothing for an empty path.
-    void path(const std::string& d, std::string_view attributes, std::string_view title = "") {
-        if (d.empty()) return;
-        out += xml("<path d=\"{}\" {}", d, attributes);
-        out += title.empty() ? "/>\n" : "><title>" + escape(title).xml + "</title></path>\n";
-    }
-    void open_group(double x, double y) { out += xml("<g transform=\"translate({} {})\">\n", x, y); }
-    void close_group() { out += "</g>\n"; }
-};
-
-struct Pixel {
-    double x = 0;
-    double y = 0;
-};
-using Line = std::vector<Pixel>;
-
-double distance_to_segment(const Pixel& p, const Pixel& a, const Pixel& b) {
-    const Pixel d{b.x - a.x, b.y - a.y};
-    const double length2 = d.x * d.x + d.y * d.y;
-    const double t = length2 > 0 ? std::clamp(((p.x - a.x) * d.x + (p.y - a.y) * d.y) / length2, 0.0, 1.0) : 0.0;
-    return std::hypot(p.x - a.x - t * d.x, p.y - a.y - t * d.y);
-}
-
-/// Appends line[last] and those points after line[first] without which the line would move by more than kTolerance
-/// (Douglas, Peucker).
-void add_bends(const Line& line, std::size_t first, std::size_t last, Line& bends) {
-    double farthest = kTolerance;
-    std::size_t at = last;
-    for (std::size_t i = first + 1; i < last; ++i) {
-        const double distance = distance_to_segment(line[i], line[first], line[last]);
-        if (distance > farthest) farthest = distance, at = i;
-    }
-    if (at == last) return bends.push_back(line[last]);
-    add_bends(line, first, at, bends);
-    add_bends(line, at, last, bends);
-}
-
-/// In steps between rounded points, which do not drift. A lone point becomes a short dash.
-std::string path_of(const std::vector<Line>& lines) {
-    std::string d;
-    Pixel at;
-    const auto step = [&](char command, const Pixel& from, const Pixel& to) {
-        at = {std::round(to.x * 100) / 100, std::round(to.y * 100) / 100};
-        const std::string dy = pixels(at.y - from.y);
-        d += command + pixels(at.x - from.x) + (dy.front() == '-' ? "" : " ") + dy;
-    };
-    for (const Line& line : lines) {
-        for (const Pixel& p : line) step(&p == &line.front() ? 'M' : 'l', &p == &line.front() ? Pixel{} : at, p);
-        if (line.size() == 1) d += "m-2 0h4";
-    }
-    return d;
-}
-
-std::string circle(double x, double y, double r) {
-    return xml("M{0} {1}a{2} {2} 0 1 0 {3} 0a{2} {2} 0 1 0-{3} 0", x - r, y, r, 2 * r);
-}
-/// A triangle with its tip at (x, y).
-std::string arrow(double x, double y, bool up) { return xml("M{} {}l-3 {}h6z", x, y, up ? 6.0 : -6.0); }
-
-// ---- axes -----------------------------------------------------------------------------------------------------------
-
-struct Range {
-    double lo = kInfinity;
-    double hi = -kInfinity;
-
-    [[nodiscard]] bool empty() const { return lo > hi; }
-    [[nodiscard]] bool holds(double value) const { return value >= lo && value <= hi; }
-    void add(double value) {
-        lo = std::min(lo, value);
-        hi = std::max(hi, value);
-    }
-    /// At least `least` wide, with a margin on both sides.
-    [[nodiscard]] Range widened(double least, double margin) const {
-        const double grow = std::max(0.0, least - (hi - lo)) / 2 + margin * std::max(least, hi - lo);
-        return {lo - grow, hi + grow};
-    }
-};
-
-/// Data (decades, degrees) to pixels; what is far outside stays at four times the length.
-struct Scale {
-    Range data;
-    double from = 0;
-    double to = 1;
-
-    double operator()(double value) const {
-        return from + (to - from) * std::clamp((value - data.lo) / (data.hi - data.lo), -4.0, 5.0);
-    }
-    [[nodiscard]] double per_unit() const { return std::abs(to - from) / (data.hi - data.lo); }
-};
-
-struct Tick {
-    double at = 0;
-    Markup label{};  ///< empty: a minor tick
-};
-
-std::vector<Tick> ticks_every(double step, const Scale& scale) {
-    std::vector<Tick> ticks;
-    for (double k = std::ceil(scale.data.lo / step); k * step <= scale.data.hi; ++k)
-        ticks.push_back({k * step, {plain(k * step)}});
-    return ticks;
-}
-/// Labels are at least `spacing` pixels apart.
-std::vector<Tick> number_ticks(const Scale& scale, double spacing) {
-    const double least = spacing / scale.per_unit();
-    const double decade = std::pow(10, std::floor(std::log10(least)));
-    const double digit = least <= decade ? 1 : least <= 2 * decade ? 2 : least <= 5 * decade ? 5 : 10;
-    return ticks_every(digit * decade, scale);
-}
-std::vector<Tick> angle_ticks(const Scale& scale) {
-    double step = 45;
-    for (const double s : {30, 15, 10, 5, 2, 1}) {
-        if (s * scale.per_unit() >= 34) step = s;
-    }
-    return ticks_every(step, scale);
-}
-/// Of an axis in decades: labels at powers of ten, and at 2 and 5 where those are few.
-std::vector<Tick> decade_ticks(const Scale& scale, double spacing) {
-    const bool few = scale.data.hi - scale.data.lo < 2 && 0.3 * scale.per_unit() >= spacing;
-    const bool decimals = few && scale.data.lo > -4 && scale.data.hi < 4;
-    int step = 1;
-    for (const int s : {2, 5, 10, 20, 50, 100, 200}) {
-        if (step * scale.per_unit() < spacing) step = s;
-    }
-    std::vector<Tick> ticks;
-    for (auto k = static_cast<int>(std::floor(scale.data.lo)); k <= scale.data.hi; ++k) {
-        for (int digit = 1; digit < (scale.per_unit() < 30 ? 2 : 10); ++digit) {
-            Tick tick{k + std::log10(digit)};
-            const bool named = digit == 1 ? k % step == 0 : few && (digit == 2 || digit == 5);
-            if (!scale.data.holds(tick.at) || (!named && scale.per_unit() < 3)) continue;
-            if (named && decimals) tick.label = {plain(digit * std::pow(10, k))};
-            else if (named) tick.label = typeset(fmt::format("{}e{}", digit, k));
-            ticks.push_back(tick);
-        }
-    }
-    return ticks;
-}
-
-struct Axis {
-    Scale scale;
-    std::vector<Tick> ticks;
-    bool labels = true;
-    Markup title{};
-};
-
-/// Its upper left corner is the origin.
-struct Panel {
-    double width = 0;
-    double height = 0;
-    Axis x;
-    Axis y;
-    Range band{};  ///< of y, shaded
-};
-
-/// Grid, ticks and labels. What is drawn from here to close_panel() is clipped to the panel.
-void open_panel(Svg& svg, const Panel& p) {
-    std::string grid, marks;
-    Svg labels;
-    for (const Tick& t : p.x.ticks) {
-        const double x = p.x.scale(t.at);
-        const bool major = !t.label.xml.empty();
-        if (major) grid += xml("M{} 0v{}", x, p.height);
-        marks += xml("M{} {}v{}", x, p.height, major ? -5.0 : -3.0);
-        if (major && p.x.labels) labels.text(x, p.height + 14, t.label, kMiddle);
-    }
-    for (const Tick& t : p.y.ticks) {
-        const double y = p.y.scale(t.at);
-        const bool major = !t.label.xml.empty();
-        if (major) grid += xml("M0 {}h{}", y, p.width);
-        marks += xml("M0 {}h{}", y, major ? 5.0 : 3.0);
-        if (major && p.y.labels) labels.text(-6, y + 3.5, t.label, kEnd);
-    }
-    if (!p.x.title.xml.empty()) labels.text(p.width / 2, p.height + 30, p.x.title, kMiddle);
-    if (!p.y.title.xml.empty()) {
-        const std::string turned = xml(R"_({} transform="translate(-46 {})rotate(-90)")_", kMiddle, p.height / 2);
-        labels.text(0, 0, p.y.title, turned);
-    }
-    if (!p.band.empty()) {
-        const double top = p.y.scale(p.band.hi);
-        const double height = p.y.scale(p.band.lo) - top;
-        svg.out += xml("<rect y=\"{}\" width=\"{}\" height=\"{}\" fill=\"#f0f0f0\"/>\n", top, p.width, height);
-    }
-    svg.path(grid, R"(stroke="#e2e2e2" fill="none")");
-    svg.path(marks, R"(stroke="#444" fill="none")");
-    svg.out += labels.out;
-    svg.out += xml("<svg width=\"{}\" height=\"{}\" overflow=\"hidden\" fill=\"none\">\n", p.width, p.height);
-}
-void close_panel(Svg& svg, const Panel& p) {
-    svg.out += xml("</svg>\n<rect width=\"{}\" height=\"{}\" fill=\"none\" stroke=\"#444\"/>\n", p.width, p.height);
-}
-
 // ---- what to draw ---------------------------------------------------------------------------------------------------
-
-/// Of a model: attributes of its lines and of its marks.
-struct Style {
-    std::string stroke;
-    std::string fill;
-};
-/// Colours of Okabe and Ito, neighbours far apart in luminance, light ones wider.
-Style style(std::size_t slot) {
-    struct Pen {
-        std::string_view colour;
-        double width;
-    };
-    constexpr std::array<Pen, 7> pens{{{"#0072B2", 1.6},
-                                       {"#E69F00", 2.2},
-                                       {"#000000", 1.4},
-                                       {"#D55E00", 1.8},
-                                       {"#56B4E9", 2.1},
-                                       {"#009E73", 1.9},
-                                       {"#CC79A7", 2.1}}};
-    constexpr std::array<std::string_view, 7> dashes{"none",    "9 3",  "1.5 2.5",    "5 2.5",
-                                                     "9 3 2 3", "14 4", "6 3 2 3 2 3"};
-    const auto& [colour, width] = pens[slot % pens.size()];
-    const std::string_view dash = dashes[(slot + slot / pens.size()) % dashes.size()];
-    return {xml(R"(stroke="{}" stroke-width="{}" stroke-dasharray="{}")", colour, width, dash),
-            xml(R"(fill="{}")", colour)};
-}
 
 /// A model, and the how-manieth of its fits in the channel by number of lobes.
 using Slot = std::pair<std::string, std::ptrdiff_t>;
@@ -423,9 +94,10 @@ bool wanted(const PlotOptions& options, const std::string& model) {
 
 [[noreturn]] void refuse(std::string_view what, std::string_view got, const std::vector<std::string>& valid) {
     constexpr std::size_t most = 30;
-    const auto end = valid.begin() + static_cast<std::ptrdiff_t>(std::min(valid.size(), most));
-    throw std::invalid_argument(fmt::format("no {} '{}' in this report; it has: {}{}", what, got,
-                                            fmt::join(valid.begin(), end, ", "), valid.size() > most ? ", ..." : ""));
+    std::string list;
+    for (std::size_t i = 0; i < std::min(valid.size(), most); ++i) list += (i > 0 ? ", " : "") + valid[i];
+    if (valid.size() > most) list += ", ...";
+    throw std::invalid_argument(fmt::format("no {} '{}' in this report; it has: {}", what, got, list));
 }
 
 /// The channels that the options name, once the options are found valid.
@@ -441,12 +113,10 @@ std::vector<const ChannelReport*> chosen_channels(const Report& report, const Pl
         for (const optim::Sample& s : c.channel.samples) angles.insert(s.direction.theta_i_deg);
     }
     if (chosen.empty()) refuse("channel", options.channel, channels);
-    for (const auto& [model, repeat] : slots(report)) {
+    for (const auto& [model, repeat] : slots(report))
         if (repeat == 0) models.push_back(model);
-    }
-    for (const std::string& m : options.models) {
+    for (const std::string& m : options.models)
         if (std::find(models.begin(), models.end(), m) == models.end()) refuse("model", m, models);
-    }
     for (const double a : angles) angle_names.push_back(fmt::format("{:g}", a));
     for (const double a : options.theta_i_deg) {
         const auto same = [&](double b) { return same_angle(a, b); };
@@ -471,15 +141,13 @@ void add_scans(View& view, const PlotOptions& options) {
         else ++scan.undrawn;
     }
     for (auto& [angle, scan] : scans) {
-        if (view.scans.size() == kMaxPanels) {
-            ++view.scans_left_out;
-            continue;
-        }
+        if (view.scans.size() == kMaxPanels) break;
         const auto by_angle = [](const Point& a, const Point& b) { return a.theta_r_deg < b.theta_r_deg; };
         std::stable_sort(scan.points.begin(), scan.points.end(), by_angle);
         view.points += scan.points.size();
         view.scans.push_back(std::move(scan));
     }
+    view.scans_left_out = scans.size() - view.scans.size();
 }
 
 View view_of(const Report& report, const ChannelReport& channel, const PlotOptions& options) {
@@ -491,9 +159,8 @@ View view_of(const Report& report, const ChannelReport& channel, const PlotOptio
         const std::string lobes = fit.lobes > 0 ? " (" + counted(fit.lobes, "lobe") + ")" : "";
         view.series.push_back({&fit, fit.model + lobes, style(static_cast<std::size_t>(slot))});
     }
-    for (const optim::Failure& failure : channel.failures) {
+    for (const optim::Failure& failure : channel.failures)
         if (wanted(options, failure.model)) view.failures.push_back(failure);
-    }
     add_scans(view, options);
     return view;
 }
@@ -525,9 +192,8 @@ double quantile(std::vector<double> values, double q) {
 
 Range angle_range(const View& view) {
     Range range;
-    for (const Scan& scan : view.scans) {
+    for (const Scan& scan : view.scans)
         for (const Point& p : scan.points) range.add(p.theta_r_deg);
-    }
     return range.empty() ? Range{-90, 90} : range.widened(10, 0.04);
 }
 
@@ -538,9 +204,8 @@ Range brdf_range(const View& view) {
     for (const Scan& scan : view.scans) {
         for (const Point& p : scan.points) values.push_back(p.y);
         for (const Series& s : view.series) {
-            for (const Line& line : curve(*s.fit, scan.theta_i_deg)) {
+            for (const Line& line : curve(*s.fit, scan.theta_i_deg))
                 for (const Pixel& p : line) curves.add(p.y);
-            }
         }
     }
     if (values.empty() && curves.empty()) return {-1, 0};
@@ -554,19 +219,17 @@ Range brdf_range(const View& view) {
 
 /// Symmetric: a round number of decades that holds 90 % of the residuals of the better half of the models.
 Range residual_range(const View& view) {
-    std::vector<double> sizes{};
+    std::vector<double> sizes;
     for (const Series& s : view.series) {
         std::vector<double> of_model{0};
-        for (const Scan& scan : view.scans) {
+        for (const Scan& scan : view.scans)
             for (const Point& p : scan.points) of_model.push_back(std::abs(residual(*s.fit, p).value_or(0)));
-        }
         sizes.push_back(quantile(of_model, 0.9));
     }
     const double most = sizes.empty() ? 0 : quantile(sizes, 0.5);
     double limit = 0.1;
-    for (const double l : {0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0}) {
+    for (const double l : {0.2, 0.3, 0.5, 1.0, 2.0, 3.0, 5.0, 10.0})
         if (limit < most) limit = l;
-    }
     return Range{-limit, limit}.widened(0, 0.04);
 }
 
@@ -603,8 +266,7 @@ void draw_curve(Svg& svg, const Panel& p, const Scan& scan, const Series& s) {
     for (Line& line : curve(*s.fit, scan.theta_i_deg)) {
         if (line.empty()) continue;
         for (Pixel& at : line) at = {p.x.scale(at.x), p.y.scale(at.y)};
-        bends.push_back({line.front()});
-        if (line.size() > 1) add_bends(line, 0, line.size() - 1, bends.back());
+        bends.push_back(simplified(line));
     }
     svg.path(path_of(bends), s.style.stroke, s.name);
 }
@@ -637,34 +299,6 @@ constexpr double kRight = 14;
 constexpr double kGap = 26;  ///< between columns
 constexpr double kTop = 64;  ///< below the heading
 constexpr double kRow = 17;  ///< of a table
-
-/// The document around a body laid out in width x height, scaled to the width that the options want.
-std::string document(const Report& report, const PlotOptions& options, double width, double height,
-                     std::string_view subtitle, const std::string& description, const std::string& body) {
-    Svg svg;
-    svg.out = xml(R"(<svg xmlns="http://www.w3.org/2000/svg" role="img" width="{}" height="{}" viewBox="0 0 {} {}")",
-                  options.width, height * options.width / width, width, height);
-    svg.out += " font-family=\"system-ui, Helvetica, Arial, sans-serif\" font-size=\"10\" fill=\"#222\">\n";
-    svg.out += xml("<title>{}: {}</title>\n", escape(report.dataset).xml, escape(subtitle).xml);
-    svg.out += xml("<desc>{}</desc>\n", escape(description).xml);
-    svg.out += xml("<rect width=\"{}\" height=\"{}\" fill=\"#fff\"/>\n", width, height);
-    svg.text(16, 26, escape(report.dataset, (width - 32) / 16), R"(font-size="16" font-weight="600")");
-    svg.text(16, 44, escape(subtitle, (width - 32) / 11), R"(font-size="11" fill="#555")");
-    return svg.out + body + "</svg>\n";
-}
-
-/// Remarks at the foot, wrapped. Returns the height.
-double draw_notes(Svg& svg, double y, double width, const std::vector<std::string>& notes) {
-    std::vector<std::string> lines(1);
-    for (const std::string& note : notes) {
-        if (static_cast<double>(lines.back().size() + note.size()) > (width - 32) / 5.8) lines.emplace_back();
-        lines.back() += (lines.back().empty() ? "" : "; ") + note;
-    }
-    for (std::size_t i = 0; i < lines.size(); ++i) {
-        svg.text(16, y + 14 * static_cast<double>(i), escape(lines[i]), R"(fill="#555")");
-    }
-    return 14 * static_cast<double>(lines.size());
-}
 
 std::string channel_name(const optim::Channel& channel) {
     return "channel " + channel.name + (channel.wavelength_nm ? fmt::format(" ({:g} nm)", *channel.wavelength_nm) : "");
@@ -777,10 +411,9 @@ Pair panels_for(const View& view, double width, bool brdf) {
 std::string plot_angles(const Report& report, const PlotOptions& options, bool brdf) {
     const View view = view_of(report, *chosen_channels(report, options).front(), options);
     const std::size_t n = view.scans.size();
+    const bool measured = brdf && view.points > 0;
     const double width = std::min(options.width, kLayoutWidth);
-    const std::size_t columns = std::min(n + 1, width < 600   ? std::size_t{1}
-                                                : width < 900 ? std::size_t{2}
-                                                              : std::size_t{3});
+    const std::size_t columns = std::min<std::size_t>(n + 1, width < 600 ? 1 : width < 900 ? 2 : 3);
     const double panel_width = (width - kLeft - kRight + kGap) / static_cast<double>(columns) - kGap;
     Pair panels = panels_for(view, panel_width, brdf);
     const double pitch = panels.brdf.height + panels.residual.height + (brdf ? 68 : 60);
@@ -788,7 +421,7 @@ std::string plot_angles(const Report& report, const PlotOptions& options, bool b
     Svg svg;
     double y = kTop;
     const bool legend_in_grid = n % columns != 0 && kRow * static_cast<double>(view.models() + 2) < pitch;
-    if (!legend_in_grid) y += draw_legend(svg, view, {kLeft, y}, panel_width, columns, brdf && view.points > 0) + 8;
+    if (!legend_in_grid) y += draw_legend(svg, view, {kLeft, y}, panel_width, columns, measured) + 8;
     const auto corner = [&](std::size_t i) {
         return Pixel{kLeft + static_cast<double>(i % columns) * (panel_width + kGap),
                      y + 20 + static_cast<double>(i / columns) * pitch};
@@ -808,11 +441,11 @@ std::string plot_angles(const Report& report, const PlotOptions& options, bool b
         draw_scan(svg, view, view.scans[i], panels);
         svg.close_group();
     }
-    if (legend_in_grid) draw_legend(svg, view, {corner(n).x, corner(n).y + 6}, panel_width, 1, brdf && view.points > 0);
+    if (legend_in_grid) draw_legend(svg, view, {corner(n).x, corner(n).y + 6}, panel_width, 1, measured);
     y += static_cast<double>((n + columns - 1) / columns) * pitch + 14;
     y += draw_notes(svg, y, width, notes_on(view, brdf));
     const std::string subtitle = (brdf ? "BRDF and fits: " : "errors of fits: ") + channel_name(view.report.channel);
-    return document(report, options, width, y, subtitle, description(view), svg.out);
+    return document({report.dataset, subtitle, description(view), width, y, options.width}, svg.out);
 }
 
 // ---- summary --------------------------------------------------------------------------------------------------------
@@ -892,12 +525,15 @@ void draw_errors(Svg& svg, const View& view, const SummaryAxes& axes, const Plot
         std::string marks;
         for (const optim::ScanError& scan : s->fit->scans) {
             if (!wanted(options, scan.theta_i_deg)) continue;
-            const Pixel at{x(scan.theta_i_deg),
-                           drawable(scan.log10_rmse.value_or(0)) ? y(std::log10(*scan.log10_rmse)) : height};
-            if (at.y < height) lines.back().push_back(at);
-            else lines.emplace_back();
-            if (at.y < height) marks += circle(at.x, at.y, 2.5);
-            else if (scan.log10_rmse == 0.0) marks += arrow(at.x, at.y, false);
+            const double at = x(scan.theta_i_deg);
+            const double error = scan.log10_rmse.value_or(-1);
+            if (drawable(error)) {
+                lines.back().push_back({at, y(std::log10(error))});
+                marks += circle(at, lines.back().back().y, 2.5);
+            } else {
+                lines.emplace_back();
+                if (error == 0) marks += arrow(at, height, false);
+            }
         }
         svg.path(path_of(lines), s->style.stroke, s->name);
         svg.path(marks, s->style.fill);
@@ -914,11 +550,12 @@ std::string plot_residual(const Report& report, const PlotOptions& options) {
 }
 
 std::string plot_summary(const Report& report, const PlotOptions& options) {
-    std::vector<const ChannelReport*> channels = chosen_channels(report, options);
-    const std::size_t left_out = channels.size() - std::min(channels.size(), kMaxChannels);
-    channels.resize(channels.size() - left_out);
     std::vector<View> views;
-    for (const ChannelReport* channel : channels) views.push_back(view_of(report, *channel, options));
+    std::size_t left_out = 0;
+    for (const ChannelReport* channel : chosen_channels(report, options)) {
+        if (views.size() < kMaxChannels) views.push_back(view_of(report, *channel, options));
+        else ++left_out;
+    }
     const SummaryAxes axes = summary_axes(views, options);
 
     const double width = std::clamp(options.width, 440.0, kLayoutWidth);
@@ -946,7 +583,7 @@ std::string plot_summary(const Report& report, const PlotOptions& options) {
     std::vector<std::string> notes{"decades: rms of log10(model / measured)"};
     if (left_out > 0) notes.push_back(counted(left_out, "further channel") + " not drawn");
     y += draw_notes(svg, y, width, notes);
-    return document(report, options, width, y, "models by loss, and their errors", text, svg.out);
+    return document({report.dataset, "models by loss, and their errors", text, width, y, options.width}, svg.out);
 }
 
 }  // namespace brdfit::api

@@ -16,7 +16,7 @@ struct PlotOptions {
 };
 
 /// Each of these is a pure function: the same report and options give the same bytes, whatever the locale. The text is
-/// a whole SVG 1.1 document in UTF-8 with role="img", <title> and <desc>, white background, no script and no reference
+/// a whole SVG document in UTF-8 with role="img", <title> and <desc>, white background, no script and no reference
 /// to anything outside. Names from the report are escaped; control characters are dropped and bad UTF-8 is replaced. A
 /// name that is too long for its place ends in an ellipsis.
 ///
@@ -26,8 +26,9 @@ struct PlotOptions {
 /// of incidence, values beyond an axis (arrows), models without a fit, incidence angles past the 24th, channels past
 /// the 12th.
 ///
-/// Throws std::invalid_argument, naming the valid ones, if options name a model, an incidence angle (to 1e-6 degrees)
-/// or a channel that the report lacks, if the width is out of range, or if the report has no channel.
+/// Angles in the report are finite; values, losses and errors need not be. Throws std::invalid_argument, naming the
+/// valid ones, if options name a model, an incidence angle (to 1e-6 degrees) or a channel that the report lacks, if the
+/// width is out of range, or if the report has no channel.
 
 /// The measured BRDF (error bars: one sigma) and each model's curve against the signed exitant angle, a panel per
 /// incidence angle with equal axes, the residual log10(model / measured) under it.

@@ -49,13 +49,13 @@ inline scalar sum_lanes(real x) {
 #define PI 3.14159265358979323846
 
 #if REAL_IS_DOUBLE
-#define EXP_MAX 709.0    /* exp does not overflow below */
+#define LOG_HUGE 300.0   /* values saturate at exp of this, so that their squares can be summed */
 #define EXP_MIN 745.0    /* exp(-x) is 0 beyond */
 #define TINY 1e-300      /* keeps a quotient finite where its numerator is 0 */
 #define LOG_EPSILON 37.5 /* ln(1/eps) to which series are summed */
 #define COLLINEAR 1e-13  /* unit columns closer than this, squared, count as one */
 #else
-#define EXP_MAX 88.0
+#define LOG_HUGE 40.0
 #define EXP_MIN 104.0
 #define TINY 1e-37
 #define LOG_EPSILON 17.0

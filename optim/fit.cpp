@@ -121,7 +121,8 @@ bool is_at_bound(const kernels::Parameter& parameter, Interval bounds, double va
         const double range = kNear * std::log(bounds.max / bounds.min);
         return std::log(value / bounds.min) <= range || std::log(bounds.max / value) <= range;
     }
-    const double range = kNear * (bounds.max - bounds.min);
+    // Bounds that a request or relative data widen do not make a small value a bound.
+    const double range = kNear * std::min(bounds.max - bounds.min, parameter.max - parameter.min);
     return value - bounds.min <= range || bounds.max - value <= range;
 }
 

@@ -29,7 +29,7 @@ void brdf(Params p, Geometry s, Terms *f) {
         const mask lit = b > 0.0;
         const real base = sel(lit, b, 1.0);
         const real l = log(base);
-        const real v = sel(lit, exp(fmin(p.lobe[j].n * l, (real)EXP_MAX)), 0.0); /* saturates instead of overflowing */
+        const real v = sel(lit, exp(fmin(p.lobe[j].n * l, (real)LOG_HUGE)), 0.0); /* saturates instead of overflowing */
         const real slope = p.lobe[j].n * (v / base);
         f->lobe[j].value = v;
         f->lobe[j].c_xy = slope * s.hxy;
