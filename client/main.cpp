@@ -1,4 +1,5 @@
 /// The program `brdfit`: reads the command line and wires the parts.
+#include <algorithm>
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
@@ -46,7 +47,8 @@ void write_file(const std::filesystem::path& path, const std::string& text) {
     if (!(out << text).flush()) throw std::runtime_error(path.string() + ": cannot be written");
 }
 
-void fit(const FitArguments& arguments) {
+/// False if no model could be fitted.
+bool fit(const FitArguments& arguments) {
     const kernels::Catalogue catalogue(arguments.model_folders);
     api::Query query{{"name", std::filesystem::path(arguments.file).stem().string()}};
     for (const std::string& option : arguments.options) {
@@ -61,10 +63,13 @@ void fit(const FitArguments& arguments) {
         is_json ? api::read_fit_request(text, catalogue) : api::read_fit_request_csv(text, query, catalogue);
     kernels::Engine engine({arguments.device, {}});
     optim::Fitter fitter(engine, std::thread::hardware_concurrency());
+    for (const optim::ModelRequest& model : request.models) fitter.warm_up(*model.family);
     const optim::Report report = fitter.fit(request.dataset, request.models, request.options);
     if (arguments.json) std::fputs(api::to_json(report, "local").c_str(), stdout);
     else std::fputs(client::table(report).c_str(), stdout);
-    if (arguments.plots.empty()) return;
+    const bool fitted = std::any_of(report.channels.begin(), report.channels.end(),
+                                    [](const optim::ChannelReport& channel) { return !channel.fits.empty(); });
+    if (arguments.plots.empty()) return fitted;
     std::filesystem::create_directories(arguments.plots);
     write_file(std::filesystem::path(arguments.plots) / "summary.svg", api::plot_summary(report, {}));
     for (std::size_t c = 0; c < report.channels.size(); ++c) {
@@ -75,6 +80,7 @@ void fit(const FitArguments& arguments) {
         write_file(std::filesystem::path(arguments.plots) / ("residual" + suffix + ".svg"),
                    plot_residual(report, options));
     }
+    return fitted;
 }
 
 void print_refusal(const std::string& file, const api::Problem& problem) {
@@ -124,7 +130,8 @@ int main(int argc, char** argv) {
     CLI::App* models = app.add_subcommand("models", "Print the models as JSON");
     CLI::App* devices = app.add_subcommand("devices", "List OpenCL devices, the preferred one first");
     for (CLI::App* command : {serve, fit_command, models})
-        command->add_option("--models", folders, "Folder with further model files (*.cl)")
+        command->add_option("--models", folders, "Folder with further model files (*.cl); may be given again")
+            ->allow_extra_args(false)
             ->check(CLI::ExistingDirectory);
     for (CLI::App* command : {serve, fit_command})
         command->add_option("--device", serve_options.device, "auto, cpu, gpu, or a part of the device's name")
@@ -135,7 +142,7 @@ int main(int argc, char** argv) {
     fit_arguments.device = serve_options.device;
     try {
         if (serve->parsed()) server::serve(serve_options);
-        if (fit_command->parsed()) fit(fit_arguments);
+        if (fit_command->parsed() && !fit(fit_arguments)) return 1;
         if (models->parsed()) std::fputs(api::to_json(kernels::Catalogue(folders)).c_str(), stdout);
         if (devices->parsed()) list_devices();
     } catch (const api::Refusal& refusal) {

@@ -351,21 +351,20 @@ Fitter::Fitter(kernels::Engine& engine, unsigned threads)
 
 Fitter::~Fitter() { pool_->pool.join(); }
 
-void Fitter::warm_up(const kernels::Catalogue& catalogue) {
+void Fitter::warm_up(const kernels::Family& family) {
     const std::vector<kernels::Direction> directions(1);
     const std::vector<double> one(1, 1.0);
-    for (const kernels::Family& family : catalogue.families())
-        for (const Model& model : family.variants) {
-            kernels::Evaluator evaluator(engine_, model, engine_.best_precision(), directions, one, one);
-            std::vector<double> parameters;
-            for (const kernels::Parameter& p : model.parameters) parameters.push_back(p.typical_min);
-            const std::vector<double> c(model.terms.size(), 1.0);
-            kernels::Batch batch;
-            evaluator.project(parameters, c, c, true, batch);
-            evaluator.project(parameters, c, c, false, batch);
-            evaluator.loss(parameters, c, false, batch);
-            (void)evaluator.terms(parameters);
-        }
+    for (const Model& model : family.variants) {
+        kernels::Evaluator evaluator(engine_, model, engine_.best_precision(), directions, one, one);
+        std::vector<double> parameters;
+        for (const kernels::Parameter& p : model.parameters) parameters.push_back(p.typical_min);
+        const std::vector<double> c(model.terms.size(), 1.0);
+        kernels::Batch batch;
+        evaluator.project(parameters, c, c, true, batch);
+        evaluator.project(parameters, c, c, false, batch);
+        evaluator.loss(parameters, c, false, batch);
+        (void)evaluator.terms(parameters);
+    }
 }
 
 Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& models, const FitOptions& options,

@@ -71,9 +71,9 @@ public:
     Fitter(const Fitter&) = delete;
     Fitter& operator=(const Fitter&) = delete;
 
-    /// Builds the programs of all variants and runs each kernel once, so that no request waits for a compiler.
+    /// Builds the programs of all variants of a model and runs each kernel once, so that no fit waits for a compiler.
     /// Throws kernels::BuildError, kernels::DeviceError.
-    void warm_up(const kernels::Catalogue& catalogue);
+    void warm_up(const kernels::Family& family);
 
     /// Fits every model to every channel. A model that fails is in the report's failures. Throws
     /// std::invalid_argument (see weigh) and InvalidBounds.

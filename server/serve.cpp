@@ -45,7 +45,7 @@ void serve(const ServeOptions& options) {
     const Routes routes(catalogue, fitter, store, stop.get_token());
     HttpServer http(routes);
     const int port = http.bind(options.host, options.port);  // a taken port is told before the compiler runs
-    fitter.warm_up(catalogue);
+    for (const kernels::Family& family : catalogue.families()) fitter.warm_up(family);
 
     std::jthread waiter([&] {
         int signal = 0;
