@@ -28,18 +28,27 @@ double lift(const Direction& d) { return d.phi_deg == 0 ? 0.0 : sin_i(d) * sin_r
 double sin_half_difference(const Direction& d) { return sin_deg((d.theta_r_deg - d.theta_i_deg) / 2); }
 double half_sum(const Direction& d) { return (d.theta_r_deg + d.theta_i_deg) / 2; }
 
+/// From the complements, which are exact near 90 degrees where the sum is not.
+double cos_half_sum(const Direction& d) {
+    const double m = half_sum(d);
+    return m < 45 ? std::cos(m * kRadian) : sin_deg(((90 - d.theta_i_deg) + (90 - d.theta_r_deg)) / 2);
+}
+
 double one_minus_cos_alpha(const Direction& d) { return 2 * (sqr(sin_half_difference(d)) + lift(d)); }
 double tangential_sum_squared(const Direction& d) {
-    return sqr(2 * cos_deg(half_sum(d)) * sin_half_difference(d)) + 4 * lift(d);
+    return sqr(2 * cos_half_sum(d) * sin_half_difference(d)) + 4 * lift(d);
 }
 double cos_sum(const Direction& d) { return cos_i(d) + cos_r(d); }
 
 double log_cos_alpha(const Direction& d) {
     const double q = one_minus_cos_alpha(d);
-    return q < 1 ? std::log1p(-q) : -1e30;
+    if (q < 0.5) return std::log1p(-q);
+    const double c = d.theta_r_deg > 0 ? cos_i(d) * cos_r(d) + sin_i(d) * sin_r(d) * cos_deg(d.phi_deg)
+                                       : cos_deg(d.theta_r_deg - d.theta_i_deg) - 2 * lift(d);
+    return c > 0 ? std::log(c) : -1e30;
 }
 double tan2(const Direction& d) { return tangential_sum_squared(d) / sqr(cos_sum(d)); }
-double cd2(const Direction& d) { return sqr(cos_deg(half_sum(d))) + lift(d); }
+double cd2(const Direction& d) { return sqr(cos_half_sum(d)) + lift(d); }
 double sd2(const Direction& d) { return sqr(sin_deg(half_sum(d))) - lift(d); }
 double hxy(const Direction& d) { return -sin_i(d) * sin_r(d) * cos_deg(d.phi_deg); }
 

@@ -393,6 +393,8 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
             boost::asio::post(pool_->pool, std::move(task));
         }
     }
+    for (auto& channel : futures)
+        for (auto& future : channel) future.wait();  // tasks refer to this call's arguments
     for (std::size_t c = 0; c < futures.size(); ++c) {
         std::vector<Outcome> outcomes;
         for (auto& future : futures[c]) outcomes.push_back(future.get());

@@ -25,6 +25,10 @@ bool all_finite(std::span<const double> values) {
     return std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
 }
 
+bool out_of_time(const SearchControl& control) {
+    return control.stop.stop_requested() || Clock::now() >= control.deadline;
+}
+
 /// Carries an objective through NLopt's C interface. NLopt turns foreign exceptions into a bare failure, so they are
 /// kept here and thrown again; it may end away from its best point, so that is kept too.
 struct Adapter {
@@ -164,21 +168,25 @@ public:
         return batch_.loss[0] / scale2_;
     }
 
-    /// Values at many points, in one launch.
-    std::vector<double> screen(const std::vector<std::vector<double>>& points) {
-        evaluations_ += points.size();
-        std::vector<double> parameters, lower, upper;
-        for (const auto& u : points) {
-            const Candidate at = space_.candidate(u);
-            parameters.insert(parameters.end(), at.parameters.begin(), at.parameters.end());
-            lower.insert(lower.end(), at.lower.begin(), at.lower.end());
-            upper.insert(upper.end(), at.upper.begin(), at.upper.end());
-        }
-        evaluator_.project(parameters, lower, upper, false, batch_);
-        std::vector<double> values = batch_.loss;
-        for (double& value : values) {
-            value /= scale2_;
-            if (!std::isfinite(value)) value = std::numeric_limits<double>::max();
+    /// Values at many points, in launches small enough to look at the clock between them; points left when time runs
+    /// out have the largest value.
+    std::vector<double> screen(const std::vector<std::vector<double>>& points, const SearchControl& control) {
+        constexpr std::size_t kLaunch = 1'000'000;  // candidates x samples: under a second on one core
+        const std::size_t most = std::max<std::size_t>(1, kLaunch / std::max<std::size_t>(1, evaluator_.samples()));
+        std::vector<double> values(points.size(), std::numeric_limits<double>::max());
+        for (std::size_t first = 0; first < points.size() && !out_of_time(control); first += most) {
+            const std::size_t count = std::min(most, points.size() - first);
+            std::vector<double> parameters, lower, upper;
+            for (std::size_t i = first; i < first + count; ++i) {
+                const Candidate at = space_.candidate(points[i]);
+                parameters.insert(parameters.end(), at.parameters.begin(), at.parameters.end());
+                lower.insert(lower.end(), at.lower.begin(), at.lower.end());
+                upper.insert(upper.end(), at.upper.begin(), at.upper.end());
+            }
+            evaluator_.project(parameters, lower, upper, false, batch_);
+            evaluations_ += count;
+            for (std::size_t i = 0; i < count; ++i)
+                if (std::isfinite(batch_.loss[i])) values[first + i] = batch_.loss[i] / scale2_;
         }
         return values;
     }
@@ -233,13 +241,13 @@ Minimum descend(const Objective& objective, std::vector<double> u, int max_evalu
 
 Descents descend_all(const Objective& objective, const std::vector<std::vector<double>>& starts, int max_evaluations,
                      const SearchControl& control) {
-    const auto out_of_time = [](const Minimum& end) {
+    const auto cut_short = [](const Minimum& end) {
         return end.stop == StopReason::time_limit || end.stop == StopReason::cancelled;
     };
     Descents result;
     for (const std::vector<double>& start : starts) {
         result.ends.push_back(descend(objective, start, max_evaluations, 1e-9, control));
-        if (out_of_time(result.ends.back())) break;
+        if (cut_short(result.ends.back())) break;
     }
     std::stable_sort(result.ends.begin(), result.ends.end(),
                      [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
@@ -249,7 +257,7 @@ Descents descend_all(const Objective& objective, const std::vector<std::vector<d
         const double gain = result.best.loss2 - next.loss2;
         if (gain >= 0) result.best = next;
         result.best.stop = next.stop;
-        if (out_of_time(next) || gain <= 1e-9 * result.best.loss2) break;
+        if (cut_short(next) || gain <= 1e-9 * result.best.loss2) break;
     }
     result.agreed =
         static_cast<std::size_t>(std::count_if(result.ends.begin(), result.ends.end(), [&](const Minimum& m) {
@@ -274,9 +282,10 @@ SearchResult search_projected(kernels::Evaluator& evaluator, const SearchSpace& 
     const Objective objective = [&](std::span<const double> u, std::span<double> g) { return problem(u, g); };
     const auto points = screening_points(space, budget.screened, control.seed);
     std::vector<std::vector<double>> starts;
-    if (!seeds.empty()) starts = best_distinct(seeds, problem.screen(seeds), kSeedStarts);
+    if (!seeds.empty()) starts = best_distinct(seeds, problem.screen(seeds, control), kSeedStarts);
     if (budget.global_evaluations > 0) starts.push_back(explore(objective, d, budget.global_evaluations, control).u);
-    for (auto& start : best_distinct(points, problem.screen(points), budget.starts)) starts.push_back(std::move(start));
+    for (auto& start : best_distinct(points, problem.screen(points, control), budget.starts))
+        starts.push_back(std::move(start));
 
     Descents descents = descend_all(objective, starts, budget.local_evaluations, control);
     for (const Minimum& end : descents.ends) {

@@ -32,7 +32,11 @@ public:
     [[nodiscard]] virtual std::shared_ptr<const Job> find(const std::string& id) const = 0;
 };
 
-/// In memory: the latest `capacity` jobs, the oldest dropped first; gone with the process.
+/// About how many bytes a job takes in memory.
+std::size_t size_of(const Job& job);
+
+/// In memory: the latest jobs, as many as `capacity` bytes hold and at least one, the oldest dropped first; gone with
+/// the process.
 class MemoryJobStore final : public JobStore {
 public:
     explicit MemoryJobStore(std::size_t capacity) : capacity_(capacity) {}
@@ -41,6 +45,7 @@ public:
 
 private:
     std::size_t capacity_;
+    std::size_t size_ = 0;
     mutable std::mutex mutex_;
     std::deque<std::string> order_;
     std::unordered_map<std::string, std::shared_ptr<const Job>> jobs_;

@@ -19,8 +19,8 @@
 namespace brdfit::server {
 namespace {
 
-/// Reports with their samples and curves are kept for the plots: about 1 MB for a large one.
-constexpr std::size_t kKeptJobs = 256;
+/// Finished fits are kept for their plots: about 150 KB each for 300 samples.
+constexpr std::size_t kKeptBytes = std::size_t{256} << 20;
 
 bool is_loopback(const std::string& host) { return host == "localhost" || host == "::1" || host.starts_with("127."); }
 
@@ -38,7 +38,7 @@ void serve(const ServeOptions& options) {
 
     const kernels::Catalogue catalogue(options.model_folders);
     kernels::Engine engine({options.device, {}});
-    MemoryJobStore store(kKeptJobs);
+    MemoryJobStore store(kKeptBytes);
     const unsigned threads = options.threads != 0 ? options.threads : std::thread::hardware_concurrency();
     optim::Fitter fitter(engine, threads);
     std::stop_source stop;
