@@ -2,8 +2,8 @@
 /// error texts and the list of valid names follow from the same row.
 #pragma once
 
-#include <cmath>
-#include <cstdint>
+#include <algorithm>
+#include <cstddef>
 #include <functional>
 #include <optional>
 #include <span>
@@ -16,6 +16,7 @@
 
 #include "api/names.h"
 #include "api/problem.h"
+#include "kernels/model.h"
 
 namespace brdfit::api {
 
@@ -97,6 +98,78 @@ auto read_choice(const nlohmann::json& value, const Place& place, const Table& t
     const auto choice = choice_of(table, *text);
     if (!choice) place.fail("unknown_value", "must be one of: " + names_of(table));
     return choice;
+}
+
+inline bool is_auto(const nlohmann::json& value) {
+    return value.is_string() && value.get_ref<const std::string&>() == "auto";
+}
+
+/// None for "auto", and after an error.
+inline std::optional<kernels::Precision> read_precision(const nlohmann::json& value, const Place& place) {
+    if (is_auto(value)) return std::nullopt;
+    if (value.is_string() && !choice_of(kPrecisions, value.get_ref<const std::string&>())) {
+        place.fail("unknown_value", "must be one of: auto, " + names_of(kPrecisions));
+        return std::nullopt;
+    }
+    return read_choice(value, place, kPrecisions);
+}
+
+/// The number of lobes, if the model has lobes and that many.
+inline std::optional<std::size_t> read_lobes(const nlohmann::json& value, const Place& place,
+                                             const kernels::Family& family) {
+    if (!family.repeat) {
+        place.fail("unknown_key", "the model " + family.name + " has no lobes to choose");
+        return std::nullopt;
+    }
+    const auto least = static_cast<double>(family.repeat->min);
+    const auto most = static_cast<double>(family.repeat->max);
+    if (!value.is_number_integer() || value.get<double>() < least || value.get<double>() > most) {
+        place.fail("out_of_range", "must be a whole number from " + std::to_string(family.repeat->min) + " to " +
+                                       std::to_string(family.repeat->max) + ", or \"auto\" in a fit");
+        return std::nullopt;
+    }
+    return value.get<std::size_t>();
+}
+
+/// Whether a column is as long as theta_r_deg.
+inline bool same_length(const Place& place, std::string_view key, std::size_t length, std::size_t expected) {
+    if (length == expected) return true;
+    place.at(key).fail("ragged",
+                       "has " + std::to_string(length) + " elements where theta_r_deg has " + std::to_string(expected));
+    return false;
+}
+
+/// Throws Refusal (422) with these errors, if there are any.
+inline void refuse_if_any(std::vector<FieldError> errors) {
+    if (errors.empty()) return;
+    std::string detail = errors.front().pointer + ": " + errors.front().detail;
+    throw Refusal({422, "invalid-request", std::move(detail), std::move(errors)});
+}
+
+/// Why a number is refused, or nothing (api/samples.h has those of measurements).
+using Check = std::optional<std::string> (*)(double);
+
+inline std::optional<double> read_checked(const nlohmann::json& value, const Place& place, Check bad) {
+    const auto number = read_number(value, place);
+    if (!number) return std::nullopt;
+    if (const auto reason = bad(*number)) {
+        place.fail("out_of_range", *reason);
+        return std::nullopt;
+    }
+    return number;
+}
+
+/// A column: an array of numbers. An element that is refused is 0; the request is refused anyway.
+inline std::vector<double> read_column(const nlohmann::json& value, const Place& place, Check bad) {
+    if (!value.is_array()) {
+        place.fail("wrong_type", "must be an array of numbers");
+        return {};
+    }
+    std::vector<double> column;
+    column.reserve(value.size());
+    for (std::size_t i = 0; i < value.size(); ++i)
+        column.push_back(read_checked(value[i], place.at(i), bad).value_or(0));
+    return column;
 }
 
 }  // namespace brdfit::api

@@ -25,8 +25,6 @@ constexpr std::size_t kMostModels = 50;
 
 // ---- options ----
 
-constexpr std::string_view kAuto = "auto";
-
 void read_seed(const json& value, const Place& place, FitOptions& out) {
     const auto number = read_number(value, place);
     if (!number) return;
@@ -42,13 +40,6 @@ void read_time_limit(const json& value, const Place& place, FitOptions& out) {
     else out.time_limit = std::chrono::duration<double>(*number);
 }
 
-void read_precision(const json& value, const Place& place, FitOptions& out) {
-    if (value.is_string() && value.get_ref<const std::string&>() == kAuto) return;
-    if (value.is_string() && !choice_of(kPrecisions, value.get_ref<const std::string&>()))
-        place.fail("unknown_value", "must be one of: auto, " + names_of(kPrecisions));
-    else out.precision = read_choice(value, place, kPrecisions);
-}
-
 const std::vector<Field<FitOptions>> kOptionFields{
     {"loss", false, "what is minimised",
      [](const json& v, const Place& p, FitOptions& out) {
@@ -58,7 +49,8 @@ const std::vector<Field<FitOptions>> kOptionFields{
      [](const json& v, const Place& p, FitOptions& out) {
          if (const auto effort = read_choice(v, p, kEfforts)) out.effort = *effort;
      }},
-    {"precision", false, "arithmetic of the search; auto: the best the device has", read_precision},
+    {"precision", false, "arithmetic of the search; auto: the best the device has",
+     [](const json& v, const Place& p, FitOptions& out) { out.precision = read_precision(v, p); }},
     {"seed", false, "of the starts; the same seed gives the same result", read_seed},
     {"time_limit_s", false, "of the whole request, in seconds", read_time_limit},
 };
@@ -82,21 +74,6 @@ const std::vector<Field<RawModel>> kModelFields{
     {"bounds", false, "parameters kept within [low, high]",
      [](const json& v, const Place&, RawModel& out) { out.bounds = &v; }},
 };
-
-void read_lobes(const json& value, const Place& place, ModelRequest& out) {
-    const auto& repeat = out.family->repeat;
-    if (!repeat) {
-        place.fail("unknown_key", "the model " + out.family->name + " has no lobes to choose");
-        return;
-    }
-    if (value.is_string() && value.get_ref<const std::string&>() == kAuto) return;
-    const bool whole = value.is_number_integer();
-    const double number = whole ? value.get<double>() : 0;
-    if (!whole || number < static_cast<double>(repeat->min) || number > static_cast<double>(repeat->max))
-        place.fail("out_of_range", "must be a whole number from " + std::to_string(repeat->min) + " to " +
-                                       std::to_string(repeat->max) + ", or \"auto\"");
-    else out.lobes = static_cast<std::size_t>(number);
-}
 
 /// Calls read for every member that names a parameter of the model.
 template <class Read>
@@ -134,7 +111,8 @@ std::optional<ModelRequest> read_model(const json& value, const Place& place, co
         name_place.fail("unknown_model", "unknown model; valid are: " + catalogue.names());
         return std::nullopt;
     }
-    if (raw.lobes != nullptr) read_lobes(*raw.lobes, place.at("lobes"), request);
+    if (raw.lobes != nullptr && !is_auto(*raw.lobes))
+        request.lobes = read_lobes(*raw.lobes, place.at("lobes"), *request.family);
     read_parameters(raw.fixed, place.at("fixed"), request, [&](const std::string& name, const json& v, const Place& p) {
         if (const auto number = read_number(v, p)) request.fixed[name] = *number;
     });
@@ -163,31 +141,6 @@ void read_models(const json& value, const Place& place, const kernels::Catalogue
 }
 
 // ---- dataset ----
-
-using Check = std::optional<std::string> (*)(double);
-
-std::optional<double> read_checked(const json& value, const Place& place, Check bad) {
-    const auto number = read_number(value, place);
-    if (!number) return std::nullopt;
-    if (const auto reason = bad(*number)) {
-        place.fail("out_of_range", *reason);
-        return std::nullopt;
-    }
-    return number;
-}
-
-/// A column: an array of numbers. An element that is refused is 0; the request is refused anyway.
-std::vector<double> read_column(const json& value, const Place& place, Check bad) {
-    if (!value.is_array()) {
-        place.fail("wrong_type", "must be an array of numbers");
-        return {};
-    }
-    std::vector<double> column;
-    column.reserve(value.size());
-    for (std::size_t i = 0; i < value.size(); ++i)
-        column.push_back(read_checked(value[i], place.at(i), bad).value_or(0));
-    return column;
-}
 
 /// Columns of a scan or of free samples, before they become samples.
 struct Columns {
@@ -232,13 +185,6 @@ const std::vector<Field<Columns>> kSamplesFields{
     column_field("brdf", true, "BRDF values", &Columns::brdf, bad_brdf),
     sigma_field(),
 };
-
-bool same_length(const Place& place, std::string_view key, std::size_t length, std::size_t expected) {
-    if (length == expected) return true;
-    place.at(key).fail("ragged",
-                       "has " + std::to_string(length) + " elements where theta_r_deg has " + std::to_string(expected));
-    return false;
-}
 
 void append_scan(const json& value, const Place& place, Channel& out) {
     Columns columns;
@@ -387,11 +333,6 @@ const std::vector<Field<RawRequest>> kRequestFields{
     {"options", false, "options of the fit", [](const json& v, const Place&, RawRequest& out) { out.options = &v; }},
 };
 
-[[noreturn]] void refuse(std::vector<FieldError> errors) {
-    const FieldError& first = errors.front();
-    throw Refusal({422, "invalid-request", first.pointer + ": " + first.detail, std::move(errors)});
-}
-
 /// Models and options into the request, then the checks over everything.
 void finish(const RawRequest& raw, const kernels::Catalogue& catalogue, FitRequest& request,
             std::vector<FieldError>& errors) {
@@ -402,7 +343,7 @@ void finish(const RawRequest& raw, const kernels::Catalogue& catalogue, FitReque
     if (raw.options != nullptr)
         read_object<FitOptions>(*raw.options, root.at("options"), kOptionFields, request.options);
     if (errors.empty()) check_together(request, raw.models != nullptr, root);
-    if (!errors.empty()) refuse(std::move(errors));
+    refuse_if_any(std::move(errors));
 }
 
 /// A query parameter's text as JSON: a number where it is one.

@@ -55,7 +55,7 @@ inline scalar sum_lanes(real x) {
 #define LOG_EPSILON 37.5 /* ln(1/eps) to which series are summed */
 #define COLLINEAR 1e-13  /* unit columns closer than this, squared, count as one */
 #else
-#define LOG_HUGE 40.0
+#define LOG_HUGE 36.0
 #define EXP_MIN 104.0
 #define TINY 1e-37
 #define LOG_EPSILON 17.0

@@ -211,7 +211,7 @@ public:
         const double y = at.parameters[y_];
         const double degree = at.parameters[degree_];
         const double gain = by_coefficient[term_] * c[term_];
-        if (at_upper(c[term_], at.upper[term_])) {
+        if (at_upper(c[term_], at.upper[term_]) && at.upper[term_] < kLargestCoefficient) {
             // ln upper = degree ln R, and R = bound/|x| or bound/|y| along this direction
             const Longest longest = longest_along(x, y);
             by_parameter[degree_] += gain * std::log(longest.length);

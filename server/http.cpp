@@ -1,7 +1,14 @@
 #include "server/http.h"
 
+#include <poll.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
 #include <algorithm>
+#include <array>
 #include <charconv>
+#include <chrono>
+#include <functional>
 #include <optional>
 #include <stdexcept>
 
@@ -15,7 +22,7 @@ namespace {
 
 /// Threads that wait on sockets: a request that fits holds one, so more than there are cores.
 constexpr std::size_t kThreads = 32;
-constexpr time_t kTimeout_s = 5;
+constexpr std::size_t kRequestsOfAConnection = 1000;
 
 bool is_request_id(const std::string& id) {
     const auto ok = [](unsigned char c) { return std::isalnum(c) != 0 || c == '.' || c == '_' || c == '-'; };
@@ -65,14 +72,117 @@ std::optional<api::Problem> bad_framing(const httplib::Request& request) {
     return std::nullopt;
 }
 
+/// A connection with limits: a head of at most 64 KB that comes within 5 s, a body within 20 s.
+class Connection final : public httplib::Stream {
+public:
+    explicit Connection(socket_t socket) : socket_(socket) {}
+
+    void begin_head() { limit(kLargestHead, kHeadTime); }
+    void begin_body() { limit(2 * kLargestBody, kBodyTime); }  // chunks have their own framing
+    /// Waits for the next request; false if none comes while the server runs.
+    [[nodiscard]] bool wait(const std::function<bool()>& is_running) const {
+        if (begin_ < end_) return true;
+        const Clock::time_point until = Clock::now() + kIdleTime;
+        while (is_running() && Clock::now() < until)
+            if (poll_for(POLLIN, std::chrono::milliseconds(100))) return true;
+        return false;
+    }
+    /// Takes what the peer still sends, for a moment, so that it reads our answer before the connection is reset.
+    void drain() {
+        ::shutdown(socket_, SHUT_WR);
+        begin_ = end_ = 0;
+        limit(4 * kLargestBody, std::chrono::seconds(2));
+        std::array<char, 4096> sink{};
+        while (read(sink.data(), sink.size()) > 0) {
+        }
+    }
+
+    [[nodiscard]] bool is_readable() const override { return begin_ < end_ || poll_for(POLLIN, left()); }
+    [[nodiscard]] bool is_writable() const override { return poll_for(POLLOUT, kWriteTime); }
+    ssize_t read(char* to, size_t size) override {
+        if (begin_ == end_) {
+            if (allowed_ == 0 || !poll_for(POLLIN, left())) return -1;
+            const ssize_t got = ::recv(socket_, buffer_.data(), std::min(buffer_.size(), allowed_), 0);
+            if (got <= 0) return got;
+            allowed_ -= static_cast<size_t>(got);
+            begin_ = 0;
+            end_ = static_cast<size_t>(got);
+        }
+        const size_t count = std::min(size, end_ - begin_);
+        std::copy_n(buffer_.data() + begin_, count, to);
+        begin_ += count;
+        return static_cast<ssize_t>(count);
+    }
+    ssize_t write(const char* from, size_t size) override {
+        return is_writable() ? ::send(socket_, from, size, MSG_NOSIGNAL) : -1;
+    }
+    void get_remote_ip_and_port(std::string& ip, int& port) const override { ip = "", port = 0; }
+    void get_local_ip_and_port(std::string& ip, int& port) const override { ip = "", port = 0; }
+    [[nodiscard]] socket_t socket() const override { return socket_; }
+
+private:
+    using Clock = std::chrono::steady_clock;
+    using Milliseconds = std::chrono::milliseconds;
+    static constexpr std::size_t kLargestHead = std::size_t{64} << 10;
+    static constexpr Milliseconds kHeadTime{5000};
+    static constexpr Milliseconds kBodyTime{20000};
+    static constexpr Milliseconds kIdleTime{5000};
+    static constexpr Milliseconds kWriteTime{5000};
+
+    void limit(std::size_t bytes, Milliseconds time) {
+        allowed_ = bytes;
+        deadline_ = Clock::now() + time;
+    }
+    [[nodiscard]] Milliseconds left() const {
+        return std::max(Milliseconds(0), std::chrono::duration_cast<Milliseconds>(deadline_ - Clock::now()));
+    }
+    [[nodiscard]] bool poll_for(short events, Milliseconds time) const {
+        pollfd descriptor{socket_, events, 0};
+        return ::poll(&descriptor, 1, static_cast<int>(time.count())) > 0;
+    }
+
+    socket_t socket_;
+    std::array<char, 16384> buffer_{};
+    size_t begin_ = 0;
+    size_t end_ = 0;
+    std::size_t allowed_ = 0;
+    Clock::time_point deadline_{};
+};
+
+/// Set by a handler that refuses a request without reading its body, which the connection then still holds: the library
+/// serves a connection in one thread and would take the body for the next request.
+thread_local bool body_left_unread = false;
+
+/// The library's server over our connections. A request that asks for a range gets the whole; one whose body must not
+/// be read is the connection's last.
+class LimitedServer final : public httplib::Server {
+    bool process_and_close_socket(socket_t socket) override {
+        Connection connection(socket);
+        bool last = false;
+        for (std::size_t left = keep_alive_max_count_; left > 0 && !last; --left) {
+            if (!connection.wait([this] { return svr_sock_ != INVALID_SOCKET; })) break;
+            connection.begin_head();
+            bool closed = false;
+            body_left_unread = false;
+            const bool served = process_request(connection, left == 1, closed, [&](httplib::Request& request) {
+                request.ranges.clear();
+                connection.begin_body();
+            });
+            last = !served || closed || body_left_unread;
+            if (body_left_unread) connection.drain();
+        }
+        ::shutdown(socket, SHUT_RDWR);
+        ::close(socket);
+        return true;
+    }
+};
+
 }  // namespace
 
 struct HttpServer::Impl {
     explicit Impl(const Routes& routes_in) : routes(routes_in) {
         server.new_task_queue = [] { return new httplib::ThreadPool(kThreads); };
-        server.set_read_timeout(kTimeout_s);
-        server.set_write_timeout(kTimeout_s);
-        server.set_keep_alive_timeout(kTimeout_s);
+        server.set_keep_alive_max_count(kRequestsOfAConnection);
         server.set_tcp_nodelay(true);
         // The stock options share the port with a second server (SO_REUSEPORT), which then answers half of the
         // requests.
@@ -90,25 +200,25 @@ struct HttpServer::Impl {
         const httplib::Server::HandlerWithContentReader with_body =
             [this](const httplib::Request& from, httplib::Response& to, const httplib::ContentReader& read) {
                 Request request = request_of(from);
-                if (const auto problem = bad_framing(from))
-                    return respond(request, problem_response(*problem, request), to);
-                if (from.is_multipart_form_data()) {
-                    const api::Problem problem{415, "unsupported-media-type", "a form is not accepted", {}};
-                    return respond(request, problem_response(problem, request), to);
-                }
+                const auto refuse_unread = [&](const api::Problem& problem) {
+                    body_left_unread = true;
+                    to.set_header("Connection", "close");
+                    respond(request, problem_response(problem, request), to);
+                };
+                if (const auto problem = bad_framing(from)) return refuse_unread(*problem);
+                if (from.is_multipart_form_data())
+                    return refuse_unread({415, "unsupported-media-type", "a form is not accepted", {}});
                 const bool whole = read([&](const char* data, std::size_t size) {
                     if (request.body.size() + size > kLargestBody) return false;  // chunked bodies tell no length
                     request.body.append(data, size);
                     return true;
                 });
-                if (!whole) {
-                    const api::Problem problem{
-                        413,
-                        "too-large",
-                        "the body is incomplete or has more than " + std::to_string(kLargestBody) + " bytes",
-                        {}};
-                    return respond(request, problem_response(problem, request), to);
-                }
+                if (!whole)
+                    return refuse_unread(
+                        {413,
+                         "too-large",
+                         "the body is incomplete or has more than " + std::to_string(kLargestBody) + " bytes",
+                         {}});
                 respond(request, routes.handle(request), to);
             };
         server.Post(".*", with_body);
@@ -129,7 +239,7 @@ struct HttpServer::Impl {
     }
 
     const Routes& routes;
-    httplib::Server server;
+    LimitedServer server;
 };
 
 HttpServer::HttpServer(const Routes& routes) : impl_(std::make_unique<Impl>(routes)) {}

@@ -7,6 +7,7 @@
 
 #include <spdlog/spdlog.h>
 
+#include "api/evaluate.h"
 #include "api/plot.h"
 #include "api/problem.h"
 #include "api/response.h"
@@ -59,6 +60,18 @@ double query_number(const std::string& key, const std::string& text) {
     return number;
 }
 
+/// The precision asked for, or the best; refused where the device lacks it.
+kernels::Precision supported(const kernels::Engine& engine, std::optional<kernels::Precision> wanted,
+                             const std::string& pointer) {
+    const kernels::Precision precision = wanted.value_or(engine.best_precision());
+    if (!engine.supports(precision))
+        throw Refusal({422,
+                       "invalid-request",
+                       pointer + ": the device computes in single precision only",
+                       {{pointer, "unsupported", "the device computes in single precision only", {}, {}}}});
+    return precision;
+}
+
 api::PlotOptions plot_options(const api::Query& query) {
     api::PlotOptions options;
     for (const auto& [key, value] : query) {
@@ -77,7 +90,8 @@ api::PlotOptions plot_options(const api::Query& query) {
 }  // namespace
 
 std::string accepted_types(const std::string& path) {
-    return path == "/v1/fits" ? std::string(kJson) + ", " + std::string(kCsv) : "";
+    if (path == "/v1/fits") return std::string(kJson) + ", " + std::string(kCsv);
+    return path == "/v1/evaluate" ? std::string(kJson) : "";
 }
 
 Response problem_response(const Problem& problem, const Request& request) {
@@ -114,6 +128,10 @@ Response Routes::dispatch(const Request& request) const {
         only(request.method == "POST");
         return post_fit(request);
     }
+    if (is({"v1", "evaluate"})) {
+        only(request.method == "POST");
+        return post_evaluate(request);
+    }
     Response response;
     if (is({"health", "live"})) response = {200, "application/json", "{\"status\":\"live\"}\n", {}};
     else if (is({"v1"}) || is({""})) response.body = api::service_json(fitter_.engine().device(), kLargestBody);
@@ -138,6 +156,7 @@ Response Routes::post_fit(const Request& request) const {
     } else {
         throw Refusal({415, "unsupported-media-type", "the body must be " + accepted_types(request.path), {}});
     }
+    (void)supported(fitter_.engine(), fit.options.precision, "/options/precision");
     auto finished = std::make_shared<Job>();
     finished->id = make_job_id();
     finished->report = fitter_.fit(fit.dataset, fit.models, fit.options, stop_);
@@ -151,6 +170,19 @@ Response Routes::post_fit(const Request& request) const {
     finished->result = api::to_json(finished->report, finished->id);
     store_.put(finished);
     return {200, "application/json", finished->result, {{"Content-Location", "/v1/fits/" + finished->id + "/result"}}};
+}
+
+Response Routes::post_evaluate(const Request& request) const {
+    if (media_type(request.content_type) != kJson)
+        throw Refusal({415, "unsupported-media-type", "the body must be " + accepted_types(request.path), {}});
+    const api::EvaluateRequest evaluate = api::read_evaluate_request(request.body, catalogue_);
+    kernels::Engine& engine = fitter_.engine();
+    const kernels::Precision precision = supported(engine, evaluate.precision, "/precision");
+    const kernels::Values values = kernels::evaluate(engine, *evaluate.model, precision, evaluate.parameters,
+                                                     evaluate.directions, evaluate.gradient);
+    Response response;
+    response.body = api::to_json(evaluate, values, precision);
+    return response;
 }
 
 Response Routes::get_models(const std::string& name) const {

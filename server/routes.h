@@ -49,6 +49,7 @@ public:
 private:
     [[nodiscard]] Response dispatch(const Request& request) const;
     [[nodiscard]] Response post_fit(const Request& request) const;
+    [[nodiscard]] Response post_evaluate(const Request& request) const;
     [[nodiscard]] Response get_models(const std::string& name) const;
     [[nodiscard]] Response get_result(const std::string& id) const;
     [[nodiscard]] Response get_plot(const std::string& id, const std::string& file, const api::Query& query) const;

@@ -141,7 +141,7 @@ inline Series poisson_series(real g, real a) {
                 m += (scalar)1.0;
                 weight *= g * ((scalar)1.0 / m);
             }
-            active = (m <= high) & ((m <= mode) | (term > negligible * t.M1));
+            active = direct & (m <= high) & ((m <= mode) | (term > negligible * t.M1));
         }
     }
 

@@ -1,0 +1,76 @@
+// Writes the kernel texts of all built-in models as one C++ source. Call: host_kernel_generator double|single OUTPUT
+
+#include <fstream>
+#include <iostream>
+#include <set>
+#include <sstream>
+#include <string>
+
+#include "kernels/engine.h"
+#include "kernels/model.h"
+#include "tests/support.h"
+
+namespace {
+
+using namespace brdfit;
+
+/// The model's text in a namespace; macros are undefined behind it.
+void write_model(std::ostream& out, const kernels::Model& model, bool is_double) {
+    const auto precision = is_double ? kernels::Precision::double_precision : kernels::Precision::single_precision;
+    const std::string text = kernels::program_text(model, precision, 1);
+    std::set<std::string> macros;
+    std::istringstream lines(text);
+    for (std::string line, word; std::getline(lines, line);) {
+        std::istringstream words(line);
+        // Those with arguments are the shim's own vocabulary, or the device's.
+        if (words >> word && word == "#define" && words >> word && word.find('(') == std::string::npos)
+            macros.insert(word);
+    }
+    out << "namespace " << tests::label(model) << " {\ntypedef " << (is_double ? "double" : "float")
+        << " scalar;\ntypedef scalar real;\n"
+        << text << R"(
+std::vector<double> run_terms(std::span<const double> columns, int samples, std::span<const double> parameters) {
+    const auto c = narrowed<scalar>(columns), p = narrowed<scalar>(parameters);
+    const int candidates = (int)p.size() / PARAMETERS;
+    std::vector<scalar> out((std::size_t)(candidates * TERM_VALUES * samples));
+    terms(c.data(), samples, candidates, p.data(), out.data());
+    return {out.begin(), out.end()};
+}
+std::vector<double> run_project(std::span<const double> columns, std::span<const double> y, std::span<const double> w,
+                                std::span<const double> parameters, std::span<const double> lower,
+                                std::span<const double> upper) {
+    const auto c = narrowed<scalar>(columns), p = narrowed<scalar>(parameters), low = narrowed<scalar>(lower);
+    const auto ys = narrowed<scalar>(y), ws = narrowed<scalar>(w), high = narrowed<scalar>(upper);
+    const int candidates = (int)p.size() / PARAMETERS;
+    std::vector<scalar> scratch((std::size_t)candidates * y.size() * TERM_VALUES);
+    std::vector<scalar> out((std::size_t)(candidates * OUT_STRIDE));
+    project(c.data(), ys.data(), ws.data(), (int)y.size(), candidates, p.data(), low.data(), high.data(),
+            scratch.data(), out.data());
+    return {out.begin(), out.end()};
+}
+}
+)";
+    for (const std::string& macro : macros) out << "#undef " << macro << '\n';
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    if (argc != 3) {
+        std::cerr << "usage: host_kernel_generator double|single OUTPUT\n";
+        return 2;
+    }
+    const std::string precision = argv[1];
+    std::ofstream out(argv[2]);
+    out << "#define BRDFIT_HOST_KERNEL\n#include \"tests/numerics/host_kernel.h\"\nnamespace {\n";
+    for (const kernels::Model* model : tests::variants()) write_model(out, *model, precision == "double");
+    out << "}\nnamespace brdfit::tests {\nstd::span<const HostKernel> host_kernels_" << precision
+        << "() {\n    static const HostKernel all[] = {\n";
+    for (const kernels::Model* model : tests::variants()) {
+        const std::string name = tests::label(*model);
+        out << "        {\"" << name << "\", kernels::Precision::" << precision << "_precision, " << name
+            << "::run_terms, " << name << "::run_project},\n";
+    }
+    out << "    };\n    return all;\n}\n}\n";
+    return out.good() ? 0 : 1;
+}

@@ -1,0 +1,201 @@
+/// Answers as JSON text.
+#include "api/response.h"
+
+#include <cmath>
+#include <limits>
+#include <string>
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <nlohmann/json.hpp>
+
+#include "api/problem.h"
+#include "tests/support.h"
+
+namespace brdfit::api {
+namespace {
+
+using Json = nlohmann::ordered_json;
+using testing::ElementsAre;
+using testing::HasSubstr;
+using testing::Not;
+
+constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+constexpr double kInfinity = std::numeric_limits<double>::infinity();
+
+std::vector<std::string> keys(const Json& object) {
+    std::vector<std::string> result;
+    for (const auto& [key, value] : object.items()) result.push_back(key);
+    return result;
+}
+
+optim::Report report() {
+    optim::Fit fit;
+    fit.rank = 1;
+    fit.model = "lafortune";
+    fit.lobes = 2;
+    fit.parameters = {
+        {"k_d", "1", 0.5, 0.25, false, false}, {"n_1", "1", 30, {}, true, false}, {"tau", "um", 2, {}, false, true}};
+    fit.loss = 0.125;
+    fit.relative_loss = 0.5;
+    fit.rmse = 0.0625;
+    fit.log10_rmse = 0.75;
+    fit.aicc = -10;
+    fit.bic = -9;
+    fit.scans = {{15, 0.1, 0.2}};
+    fit.search = {16, 15, 900, optim::StopReason::roundoff, 0.5};
+    optim::ChannelReport channel{{"grün & 1/2", 550, {{{15, 30, 0}, 1, {}}}}, {fit}, {}, {}};
+    return {"a surface",
+            optim::Unit::per_steradian,
+            7,
+            {"a device", "a platform", "1.0", "gpu", true, 4},
+            kernels::Precision::double_precision,
+            {channel}};
+}
+
+Json answer(const optim::Report& r) {
+    const std::string text = to_json(r, "an-id");
+    EXPECT_EQ(text.back(), '\n');
+    return Json::parse(text);
+}
+
+TEST(Response, HasItsMembersInOrder) {
+    const Json body = answer(report());
+    EXPECT_THAT(keys(body), ElementsAre("id", "state", "version", "seed", "device", "dataset", "channels", "links"));
+    EXPECT_THAT(keys(body["device"]), ElementsAre("name", "platform", "type", "precision"));
+    EXPECT_THAT(keys(body["links"]), ElementsAre("self", "result", "plots"));
+    const Json& channel = body["channels"][0];
+    EXPECT_THAT(keys(channel), ElementsAre("name", "wavelength_nm", "samples", "fits", "failures"));
+    const Json& fit = channel["fits"][0];
+    EXPECT_THAT(keys(fit), ElementsAre("rank", "model", "lobes", "parameters", "loss", "relative_loss", "rmse",
+                                       "log10_rmse", "aicc", "bic", "scans", "search", "links"));
+    EXPECT_THAT(keys(fit["parameters"]), ElementsAre("k_d", "n_1", "tau"));
+    EXPECT_THAT(keys(fit["search"]), ElementsAre("starts", "agreed", "evaluations", "stop_reason", "time_s"));
+}
+
+TEST(Response, SaysWhatTheReportSays) {
+    const Json body = answer(report());
+    EXPECT_EQ(body["id"], "an-id");
+    EXPECT_EQ(body["state"], "succeeded");
+    EXPECT_EQ(body["version"], version());
+    EXPECT_EQ(body["seed"], 7);
+    EXPECT_EQ(body["device"],
+              Json::parse(R"({"name": "a device", "platform": "a platform", "type": "gpu", "precision": "double"})"));
+    EXPECT_EQ(body["dataset"], Json::parse(R"({"name": "a surface", "unit": "1/sr"})"));
+    const Json& fit = body["channels"][0]["fits"][0];
+    EXPECT_EQ(fit["parameters"], Json::parse(R"({
+        "k_d": {"value": 0.5, "std_error": 0.25, "unit": "1", "at_bound": false},
+        "n_1": {"value": 30.0, "std_error": null, "unit": "1", "at_bound": true},
+        "tau": {"value": 2.0, "std_error": null, "unit": "um", "at_bound": false, "fixed": true}})"));
+    EXPECT_EQ(fit["scans"], Json::parse(R"([{"theta_i_deg": 15.0, "rmse": 0.1, "log10_rmse": 0.2}])"));
+    EXPECT_EQ(fit["search"], Json::parse(R"({"starts": 16, "agreed": 15, "evaluations": 900,
+        "stop_reason": "roundoff", "time_s": 0.5})"));
+    EXPECT_EQ(body["links"], Json::parse(R"({"self": "/v1/fits/an-id", "result": "/v1/fits/an-id/result", "plots": {
+        "brdf": "/v1/fits/an-id/plots/brdf.svg", "residual": "/v1/fits/an-id/plots/residual.svg",
+        "summary": "/v1/fits/an-id/plots/summary.svg"}})"));
+}
+
+TEST(Response, LeavesOutWhatDoesNotApply) {
+    optim::Report r = report();
+    optim::ChannelReport& channel = r.channels[0];
+    channel.channel.wavelength_nm.reset();
+    channel.fits[0].lobes = 0;
+    const Json body = answer(r);
+    EXPECT_FALSE(body["channels"][0].contains("wavelength_nm"));
+    EXPECT_FALSE(body["channels"][0].contains("warnings"));
+    for (const char* key : {"lobes", "scale", "warnings"}) EXPECT_FALSE(body["channels"][0]["fits"][0].contains(key));
+    channel.fits[0].scale = 3;
+    channel.fits[0].warnings = {"a"};
+    channel.warnings = {"b"};
+    const Json more = answer(r)["channels"][0];
+    EXPECT_EQ(more["fits"][0]["scale"], 3.0);
+    EXPECT_EQ(more["fits"][0]["warnings"], Json::array({"a"}));
+    EXPECT_EQ(more["warnings"], Json::array({"b"}));
+}
+
+TEST(Response, NeverWritesANumberThatIsNotFinite) {
+    optim::Report r = report();
+    optim::Fit& fit = r.channels[0].fits[0];
+    fit.parameters[0].value = kNan;
+    fit.parameters[0].std_error = kInfinity;
+    fit.scale = -kInfinity;
+    fit.loss = fit.relative_loss = fit.rmse = fit.bic = kNan;
+    fit.log10_rmse.reset();
+    fit.aicc = kInfinity;
+    fit.scans = {{15, kNan, kInfinity}};
+    fit.search.time_s = kNan;
+    const Json body = answer(r)["channels"][0]["fits"][0];
+    for (const char* key : {"scale", "loss", "relative_loss", "rmse", "log10_rmse", "aicc", "bic"})
+        EXPECT_TRUE(body[key].is_null()) << key;
+    EXPECT_TRUE(body["parameters"]["k_d"]["value"].is_null());
+    EXPECT_TRUE(body["parameters"]["k_d"]["std_error"].is_null());
+    EXPECT_TRUE(body["scans"][0]["rmse"].is_null());
+    EXPECT_TRUE(body["scans"][0]["log10_rmse"].is_null());
+    EXPECT_TRUE(body["search"]["time_s"].is_null());
+}
+
+TEST(Response, NamesTheChannelInLinksIfThereAreSeveral) {
+    optim::Report r = report();
+    EXPECT_EQ(answer(r)["channels"][0]["fits"][0]["links"]["plot"], "/v1/fits/an-id/plots/brdf.svg?models=lafortune");
+    r.channels.push_back(r.channels[0]);
+    EXPECT_EQ(answer(r)["channels"][1]["fits"][0]["links"]["plot"],
+              "/v1/fits/an-id/plots/brdf.svg?models=lafortune&channel=gr%C3%BCn%20%26%201%2F2");
+}
+
+TEST(Response, HasFailedIfNoModelFits) {
+    optim::Report r = report();
+    r.channels[0].fits.clear();
+    r.channels[0].failures = {{"ward", "a reason", "a driver's words"}};
+    const std::string text = to_json(r, "an-id");
+    const Json body = Json::parse(text);
+    EXPECT_EQ(body["state"], "failed");
+    EXPECT_EQ(body["channels"][0]["failures"], Json::parse(R"([{"model": "ward", "reason": "a reason"}])"));
+    EXPECT_THAT(text, Not(HasSubstr("driver's")));
+}
+
+TEST(Response, ReplacesWhatIsNotUtf8) {
+    optim::Report r = report();
+    r.dataset = "a\xff";
+    EXPECT_EQ(answer(r)["dataset"]["name"], "a\xEF\xBF\xBD");
+}
+
+TEST(Response, ListsTheModels) {
+    const Json list = Json::parse(to_json(tests::catalogue()));
+    ASSERT_EQ(list["models"].size(), tests::catalogue().families().size());
+    for (std::size_t i = 0; i < list["models"].size(); ++i) {
+        const kernels::Family& family = tests::catalogue().families()[i];
+        EXPECT_EQ(list["models"][i]["name"], family.name);
+        EXPECT_EQ(list["models"][i], Json::parse(to_json(family)));
+        EXPECT_EQ(list["models"][i]["parameters"].size(), family.variants.back().parameters.size());
+        EXPECT_EQ(list["models"][i].contains("options"), family.repeat.has_value());
+    }
+}
+
+TEST(Response, SaysWhatTheServiceIs) {
+    const Json body = Json::parse(service_json(report().device, 1024));
+    EXPECT_THAT(keys(body), ElementsAre("name", "version", "device", "limits", "links"));
+    EXPECT_EQ(body["limits"]["body_bytes"], 1024);
+}
+
+TEST(Problem, HasTheMembersOfRfc9457) {
+    const Json body = Json::parse(to_json(
+        Problem{422, "invalid-request", "x", {{"/a~1b", "c", "d", {}, {}}, {"", "e", "f", 3, 4}}}, "/v1/fits", "r"));
+    EXPECT_EQ(body,
+              Json::parse(R"({"type": "/problems/invalid-request", "title": "Unprocessable Content", "status": 422,
+        "detail": "x", "instance": "/v1/fits", "request_id": "r", "errors": [
+        {"pointer": "/a~1b", "code": "c", "detail": "d"},
+        {"pointer": "", "code": "e", "detail": "f", "line": 3, "column": 4}]})"));
+    EXPECT_FALSE(Json::parse(to_json(Problem{404, "not-found", "x", {}}, "/", "r")).contains("errors"));
+}
+
+TEST(Problem, SurvivesBytesThatAreNotUtf8) {
+    EXPECT_NO_THROW((void)to_json(Problem{404, "not-found", "\xff", {}}, "/\xfe", "r"));
+}
+
+TEST(Problem, EscapesPointers) {
+    EXPECT_EQ(pointer_part("a/b~c"), "a~1b~0c");
+    EXPECT_EQ(pointer_part(""), "");
+}
+
+}  // namespace
+}  // namespace brdfit::api
