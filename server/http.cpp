@@ -6,11 +6,13 @@
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <charconv>
 #include <chrono>
 #include <functional>
 #include <optional>
 #include <stdexcept>
+#include <thread>
 
 #include <httplib.h>
 #include <spdlog/spdlog.h>
@@ -240,6 +242,8 @@ struct HttpServer::Impl {
 
     const Routes& routes;
     LimitedServer server;
+    std::atomic<bool> stopping = false;
+    std::atomic<bool> finished = false;
 };
 
 HttpServer::HttpServer(const Routes& routes) : impl_(std::make_unique<Impl>(routes)) {}
@@ -253,8 +257,16 @@ int HttpServer::bind(const std::string& host, int port) {
     return bound;
 }
 
-void HttpServer::serve() { impl_->server.listen_after_bind(); }
+void HttpServer::serve() {
+    if (!impl_->stopping) impl_->server.listen_after_bind();
+    impl_->finished = true;
+}
 
-void HttpServer::stop() { impl_->server.stop(); }
+void HttpServer::stop() {
+    impl_->stopping = true;
+    // The library forgets a stop that comes before it listens.
+    while (!impl_->finished && !impl_->server.is_running()) std::this_thread::sleep_for(std::chrono::milliseconds(1));
+    impl_->server.stop();
+}
 
 }  // namespace brdfit::server

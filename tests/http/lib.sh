@@ -10,7 +10,17 @@ work=$(mktemp -d)
 servers=()
 passed=0
 failed=0
-trap 'for pid in "${servers[@]+"${servers[@]}"}"; do kill "$pid" 2>/dev/null; done; wait; rm -rf "$work"' EXIT
+trap stop_servers EXIT
+
+# Ends every server that is left; one that does not heed SIGTERM within 5 s is killed.
+stop_servers() {
+    local pid
+    ((${#servers[@]} == 0)) || kill "${servers[@]}" 2>/dev/null
+    for pid in "${servers[@]+"${servers[@]}"}"; do
+        wait_for_end "$pid" 5 || kill -KILL "$pid" 2>/dev/null
+    done
+    rm -rf "$work"
+}
 
 pass() { passed=$((passed + 1)); }
 

@@ -34,6 +34,7 @@ mistake "a quote that does not end" 2 1 syntax "$head,channel\n15,0,0.1,\"red\n"
 for value in nan NaN inf -inf Infinity 1e999 '' x '0.1 0.2' 0x10; do
     mistake "a BRDF of \"$value\"" 3 3 not_a_number "$head\n15,0,0.1\n15,1,$value\n"
 done
+mistake "a NUL byte in a number" 2 3 not_a_number "$head\n15,0,0.1\\0000\n"
 mistake "a decimal comma, quoted" 2 3 not_a_number "$head\n15,0,\"0,1\"\n"
 mistake "an angle that is no number" 2 1 not_a_number "$head\n15deg,0,0.1\n"
 mistake "theta_i of 90" 2 1 out_of_range "$head\n90,0,0.1\n"

@@ -94,6 +94,11 @@ TEST(Csv, RefusesAQuotedFieldThatDoesNotEnd) {
     expect_refused(kHead + ",channel\n1,2,3,\"red\n1,2,3,blue\n", {"2:1 syntax"});
 }
 
+TEST(Csv, RefusesANulByte) {
+    expect_refused(kHead + "\n1,2,3" + std::string(1, '\0') + "\n", {"2:3 not_a_number"});
+    EXPECT_NO_THROW((void)read_csv(kHead + ",channel\n1,2,3,a\\b\n"));
+}
+
 TEST(Csv, TellsAtMostFiftyErrors) {
     std::string text = kHead + "\n";
     for (int i = 0; i < 60; ++i) text += "1,2,x\n";
