@@ -15,7 +15,7 @@ using kernels::Evaluator;
 using kernels::Model;
 
 /// Guesses for the lobe that a larger variant has more.
-constexpr std::size_t kLobeGuesses = 64;
+constexpr std::size_t kLobeGuesses = 256;
 /// Ends of the quadratic search that the descent for another loss starts from.
 constexpr std::size_t kPolished = 6;
 

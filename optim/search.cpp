@@ -223,7 +223,7 @@ std::vector<std::vector<double>> best_distinct(const std::vector<std::vector<dou
 }
 
 /// Seeds that descend.
-constexpr std::size_t kSeedStarts = 4;
+constexpr std::size_t kSeedStarts = 8;
 
 }  // namespace
 
