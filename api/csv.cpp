@@ -62,8 +62,9 @@ std::vector<std::string> fields_of(std::string_view line, std::size_t number, Er
         return {};
     }
     const std::string text(line);
+    const std::string no_escapes;
     const boost::tokenizer<boost::escaped_list_separator<char>> tokens(
-        text, boost::escaped_list_separator<char>('\0', ',', '"'));
+        text, boost::escaped_list_separator<char>(no_escapes, ",", "\""));
     std::vector<std::string> fields;
     for (const std::string& token : tokens) fields.push_back(trimmed(token));
     return fields;

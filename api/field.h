@@ -58,7 +58,8 @@ void read_object(const nlohmann::json& value, const Place& place, std::span<cons
         return text;
     };
     for (const auto& [key, member] : value.items()) {
-        const auto field = std::find_if(fields.begin(), fields.end(), [&](const auto& f) { return f.key == key; });
+        const auto field =
+            std::find_if(fields.begin(), fields.end(), [&name = key](const auto& f) { return f.key == name; });
         if (field == fields.end()) place.at(key).fail("unknown_key", "unknown key; valid are: " + names());
         else field->read(member, place.at(key), out);
     }

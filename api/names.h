@@ -22,26 +22,26 @@ struct Named {
     std::string_view doc;
 };
 
-inline constexpr std::array kEfforts{
-    Named{optim::Effort::draft, "draft", "a quick look: a quarter of the starts"},
-    Named{optim::Effort::standard, "standard", "the default"},
-    Named{optim::Effort::thorough, "thorough", "four times the starts"},
-};
-inline constexpr std::array kPrecisions{
-    Named{kernels::Precision::single_precision, "single", "the search in 32 bits"},
-    Named{kernels::Precision::double_precision, "double", "the search in 64 bits"},
-};
-inline constexpr std::array kUnits{
-    Named{optim::Unit::per_steradian, "1/sr", "absolute"},
-    Named{optim::Unit::relative, "relative", "one unknown positive factor a channel is fitted and reported as scale"},
-};
-inline constexpr std::array kStopReasons{
-    Named{optim::StopReason::converged, "converged", "the last descent met its tolerance"},
-    Named{optim::StopReason::evaluation_limit, "evaluation_limit", "the budget of evaluations was spent"},
-    Named{optim::StopReason::time_limit, "time_limit", "options.time_limit_s passed"},
-    Named{optim::StopReason::roundoff, "roundoff", "round-off stopped progress; the point is usable"},
-    Named{optim::StopReason::cancelled, "cancelled", "the request was withdrawn"},
-};
+inline constexpr std::array<Named<optim::Effort>, 3> kEfforts{{
+    {optim::Effort::draft, "draft", "a quick look: a quarter of the starts"},
+    {optim::Effort::standard, "standard", "the default"},
+    {optim::Effort::thorough, "thorough", "four times the starts"},
+}};
+inline constexpr std::array<Named<kernels::Precision>, 2> kPrecisions{{
+    {kernels::Precision::single_precision, "single", "the search in 32 bits"},
+    {kernels::Precision::double_precision, "double", "the search in 64 bits"},
+}};
+inline constexpr std::array<Named<optim::Unit>, 2> kUnits{{
+    {optim::Unit::per_steradian, "1/sr", "absolute"},
+    {optim::Unit::relative, "relative", "one unknown positive factor a channel is fitted and reported as scale"},
+}};
+inline constexpr std::array<Named<optim::StopReason>, 5> kStopReasons{{
+    {optim::StopReason::converged, "converged", "the last descent met its tolerance"},
+    {optim::StopReason::evaluation_limit, "evaluation_limit", "the budget of evaluations was spent"},
+    {optim::StopReason::time_limit, "time_limit", "options.time_limit_s passed"},
+    {optim::StopReason::roundoff, "roundoff", "round-off stopped progress; the point is usable"},
+    {optim::StopReason::cancelled, "cancelled", "the request was withdrawn"},
+}};
 inline constexpr const auto& kLosses = optim::kLossNames;
 
 /// The value that an entry of a table names.

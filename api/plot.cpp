@@ -324,7 +324,8 @@ double draw_legend(Svg& svg, const View& view, const Pixel& corner, double width
     }
     std::size_t used = 0;
     const auto place = [&] {
-        const double x = corner.x + static_cast<double>(used / rows) * (width + kGap);
+        const std::size_t column = used / rows;
+        const double x = corner.x + static_cast<double>(column) * (width + kGap);
         if (used % rows == 0 && used < view.series.size()) {
             svg.text(x + width - 56, corner.y + 4, {"loss"}, kHead);
             svg.text(x + width, corner.y + 4, {"decades"}, kHead);
@@ -423,8 +424,9 @@ std::string plot_angles(const Report& report, const PlotOptions& options, bool b
     const bool legend_in_grid = n % columns != 0 && kRow * static_cast<double>(view.models() + 2) < pitch;
     if (!legend_in_grid) y += draw_legend(svg, view, {kLeft, y}, panel_width, columns, measured) + 8;
     const auto corner = [&](std::size_t i) {
+        const std::size_t row = i / columns;
         return Pixel{kLeft + static_cast<double>(i % columns) * (panel_width + kGap),
-                     y + 20 + static_cast<double>(i / columns) * pitch};
+                     y + 20 + static_cast<double>(row) * pitch};
     };
     const bool relative = report.unit == optim::Unit::relative;
     const Markup brdf_title = subscripted(relative ? "relative BRDF f" : "BRDF f", "r", relative ? "" : "[1/sr]");
@@ -442,7 +444,8 @@ std::string plot_angles(const Report& report, const PlotOptions& options, bool b
         svg.close_group();
     }
     if (legend_in_grid) draw_legend(svg, view, {corner(n).x, corner(n).y + 6}, panel_width, 1, measured);
-    y += static_cast<double>((n + columns - 1) / columns) * pitch + 14;
+    const std::size_t rows = (n + columns - 1) / columns;
+    y += static_cast<double>(rows) * pitch + 14;
     y += draw_notes(svg, y, width, notes_on(view, brdf));
     const std::string subtitle = (brdf ? "BRDF and fits: " : "errors of fits: ") + channel_name(view.report.channel);
     return document({report.dataset, subtitle, description(view), width, y, options.width}, svg.out);

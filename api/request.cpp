@@ -3,6 +3,8 @@
 #include <charconv>
 #include <set>
 
+#include <boost/algorithm/string/split.hpp>
+
 #include "api/csv.h"
 #include "api/field.h"
 #include "api/json.h"
@@ -382,12 +384,9 @@ FitRequest read_fit_request_csv(std::string_view body, const Query& query, const
         const auto is_key = [&key = key](const auto& field) { return field.key == key; };
         if (query.count(key) > 1) root.at(key).fail("duplicate_key", "the query parameter stands twice");
         else if (key == "models") {
-            models = json::array();
-            for (std::size_t at = 0; at <= value.size();) {
-                const std::size_t comma = std::min(value.find(',', at), value.size());
-                models.push_back(value.substr(at, comma - at));
-                at = comma + 1;
-            }
+            std::vector<std::string> names;
+            boost::algorithm::split(names, value, [](char c) { return c == ','; });
+            models = names;
         } else if (key == "unit" || key == "name") dataset[key] = value;
         else if (std::any_of(kOptionFields.begin(), kOptionFields.end(), is_key)) options[key] = query_value(value);
         else {

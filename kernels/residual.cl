@@ -26,8 +26,7 @@ inline Geometry load_geometry(global const scalar *columns, int samples, int fir
     return s;
 }
 
-/* Minimises c'Gc/2 - b'c within lower <= c <= upper: active sets after Stark and Parker, exact for the few unknowns of
- * a model. gram: upper triangle, row by row, scaled in place to a unit diagonal. */
+/* Place of an element of a symmetric matrix that is stored as its upper triangle, row by row. */
 inline int gram_index(int row, int column) {
     const int i = row < column ? row : column;
     const int j = row < column ? column : row;
@@ -82,6 +81,8 @@ inline void solve_free(const scalar *gram, const scalar *b, const scalar *c, int
     }
 }
 
+/* Minimises c'Gc/2 - b'c within lower <= c <= upper: active sets after Stark and Parker, exact for the few unknowns of
+ * a model. Scales gram and b in place to a unit diagonal. */
 inline void solve_bounded(scalar *gram, scalar *b, const scalar *lower, const scalar *upper, scalar *c) {
     scalar size[TERMS], low[TERMS], high[TERMS];
     int is_free[TERMS], blocked[TERMS];

@@ -49,9 +49,9 @@ Request request_of(const httplib::Request& from) {
     return request;
 }
 
-void answer(const Request& request, Response response, httplib::Response& to) {
+void answer(const Request& request, const Response& response, httplib::Response& to) {
     to.status = response.status;
-    to.set_content(std::move(response.body), response.content_type);
+    to.set_content(response.body, response.content_type);
     to.set_header("X-Request-Id", request.id);
     to.set_header("X-Content-Type-Options", "nosniff");
     for (const auto& [name, value] : response.headers) to.set_header(name, value);
@@ -235,9 +235,9 @@ struct HttpServer::Impl {
         });
     }
 
-    void respond(const Request& request, Response response, httplib::Response& to) const {
+    void respond(const Request& request, const Response& response, httplib::Response& to) const {
         spdlog::info("{} {} {} request {}", request.method, printable(request.path), response.status, request.id);
-        answer(request, std::move(response), to);
+        answer(request, response, to);
     }
 
     const Routes& routes;

@@ -6,6 +6,7 @@
 #include <vector>
 
 #include <spdlog/spdlog.h>
+#include <boost/algorithm/string/split.hpp>
 
 #include "api/evaluate.h"
 #include "api/plot.h"
@@ -28,24 +29,10 @@ std::string media_type(const std::string& content_type) {
     return type;
 }
 
-std::vector<std::string> parts_of(const std::string& path) {
+std::vector<std::string> split(const std::string& text, char separator) {
     std::vector<std::string> parts;
-    for (std::size_t at = 1; at <= path.size();) {
-        const std::size_t slash = std::min(path.find('/', at), path.size());
-        parts.push_back(path.substr(at, slash - at));
-        at = slash + 1;
-    }
+    boost::algorithm::split(parts, text, [=](char c) { return c == separator; });
     return parts;
-}
-
-std::vector<std::string> split(const std::string& list) {
-    std::vector<std::string> items;
-    for (std::size_t at = 0; at <= list.size();) {
-        const std::size_t comma = std::min(list.find(',', at), list.size());
-        items.push_back(list.substr(at, comma - at));
-        at = comma + 1;
-    }
-    return items;
 }
 
 Refusal invalid_query(const std::string& key, const std::string& code, const std::string& detail) {
@@ -75,9 +62,9 @@ kernels::Precision supported(const kernels::Engine& engine, std::optional<kernel
 api::PlotOptions plot_options(const api::Query& query) {
     api::PlotOptions options;
     for (const auto& [key, value] : query) {
-        if (key == "models") options.models = split(value);
+        if (key == "models") options.models = split(value, ',');
         else if (key == "theta_i")
-            for (const std::string& angle : split(value)) options.theta_i_deg.push_back(query_number(key, angle));
+            for (const std::string& angle : split(value, ',')) options.theta_i_deg.push_back(query_number(key, angle));
         else if (key == "width") options.width = query_number(key, value);
         else if (key == "channel") options.channel = value;
         else
@@ -115,7 +102,8 @@ Response Routes::handle(const Request& request) const {
 }
 
 Response Routes::dispatch(const Request& request) const {
-    const std::vector<std::string> parts = parts_of(request.path);
+    const std::vector<std::string> parts =
+        split(request.path.substr(std::min<std::size_t>(1, request.path.size())), '/');
     const bool reading = request.method == "GET" || request.method == "HEAD";
     const auto only = [&](bool allowed) {
         if (!allowed) throw Refusal({405, "method-not-allowed", request.method + " is not for this resource", {}});
