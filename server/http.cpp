@@ -210,17 +210,17 @@ struct HttpServer::Impl {
                 if (const auto problem = bad_framing(from)) return refuse_unread(*problem);
                 if (from.is_multipart_form_data())
                     return refuse_unread({415, "unsupported-media-type", "a form is not accepted", {}});
+                bool too_large = false;  // chunked bodies tell no length
                 const bool whole = read([&](const char* data, std::size_t size) {
-                    if (request.body.size() + size > kLargestBody) return false;  // chunked bodies tell no length
+                    too_large = request.body.size() + size > kLargestBody;
+                    if (too_large) return false;
                     request.body.append(data, size);
                     return true;
                 });
-                if (!whole)
+                if (too_large)
                     return refuse_unread(
-                        {413,
-                         "too-large",
-                         "the body is incomplete or has more than " + std::to_string(kLargestBody) + " bytes",
-                         {}});
+                        {413, "too-large", "the body may have at most " + std::to_string(kLargestBody) + " bytes", {}});
+                if (!whole) return refuse_unread({400, "bad-request", "the body is incomplete", {}});
                 respond(request, routes.handle(request), to);
             };
         server.Post(".*", with_body);

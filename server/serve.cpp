@@ -1,5 +1,7 @@
 #include "server/serve.h"
 
+#include <atomic>
+#include <chrono>
 #include <csignal>
 #include <cstdio>
 #include <stdexcept>
@@ -47,18 +49,25 @@ void serve(const ServeOptions& options) {
     const int port = http.bind(options.host, options.port);  // a taken port is told before the compiler runs
     for (const kernels::Family& family : catalogue.families()) fitter.warm_up(family);
 
-    std::jthread waiter([&] {
+    std::atomic<bool> signalled = false;
+    std::jthread waiter([&](const std::stop_token& served) {
         int signal = 0;
         sigwait(&signals, &signal);
+        signalled = true;
         spdlog::info("stopping on signal {}", signal);
         pthread_sigmask(SIG_UNBLOCK, &signals, nullptr);  // the next one ends the process
         stop.request_stop();
         http.stop();
+        while (!served.stop_requested()) std::this_thread::sleep_for(std::chrono::milliseconds(5));  // to take that one
     });
     std::printf("brdfit %s listens on http://%s:%d, computing on %s\n", api::version().c_str(), options.host.c_str(),
                 port, engine.device().name.c_str());
     std::fflush(stdout);
     http.serve();
+    if (!signalled) {  // then the socket failed, and the waiter waits still
+        pthread_kill(waiter.native_handle(), SIGTERM);
+        throw std::runtime_error("the listening socket failed");
+    }
 }
 
 }  // namespace brdfit::server
