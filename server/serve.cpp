@@ -1,5 +1,7 @@
 #include "server/serve.h"
 
+#include <unistd.h>
+
 #include <atomic>
 #include <chrono>
 #include <csignal>
@@ -65,7 +67,7 @@ void serve(const ServeOptions& options) {
     std::fflush(stdout);
     http.serve();
     if (!signalled) {  // then the socket failed, and the waiter waits still
-        pthread_kill(waiter.native_handle(), SIGTERM);
+        ::kill(::getpid(), SIGTERM);
         throw std::runtime_error("the listening socket failed");
     }
 }
