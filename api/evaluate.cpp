@@ -89,11 +89,7 @@ void read_parameters(const Raw& raw, const Place& place, EvaluateRequest& reques
     const kernels::Model& model = *request.model;
     optim::Channel channel;
     channel.wavelength_nm = raw.wavelength_nm;
-    std::string names;
-    for (const kernels::Parameter& p : model.parameters) names += (names.empty() ? "" : ", ") + p.name;
-    for (const auto& [name, value] : raw.parameters->items())
-        if (!model.find(name))
-            place.at(name).fail("unknown_parameter", "the model has no such parameter; it has: " + names);
+    for (const auto& [name, value] : raw.parameters->items()) (void)is_parameter(place, model, name);
     for (const kernels::Parameter& p : model.parameters) {
         const Place at = place.at(p.name);
         request.units.push_back(to_model_unit(p, channel));

@@ -132,6 +132,15 @@ inline std::optional<std::size_t> read_lobes(const nlohmann::json& value, const 
     return value.get<std::size_t>();
 }
 
+/// Refuses a name that is no parameter of the model; false then.
+inline bool is_parameter(const Place& place, const kernels::Model& model, const std::string& name) {
+    if (model.find(name)) return true;
+    std::string names;
+    for (const kernels::Parameter& p : model.parameters) names += (names.empty() ? "" : ", ") + p.name;
+    place.at(name).fail("unknown_parameter", "the model has no such parameter; it has: " + names);
+    return false;
+}
+
 /// Whether a column is as long as theta_r_deg.
 inline bool same_length(const Place& place, std::string_view key, std::size_t length, std::size_t expected) {
     if (length == expected) return true;

@@ -86,13 +86,8 @@ void read_parameters(const json* object, const Place& place, const ModelRequest&
         return;
     }
     const kernels::Model& model = request.family->variant(request.most_lobes());
-    std::string names;
-    for (const kernels::Parameter& p : model.parameters) names += (names.empty() ? "" : ", ") + p.name;
-    for (const auto& [name, value] : object->items()) {
-        if (!model.find(name))
-            place.at(name).fail("unknown_parameter", "the model has no such parameter; it has: " + names);
-        else read(name, value, place.at(name));
-    }
+    for (const auto& [name, value] : object->items())
+        if (is_parameter(place, model, name)) read(name, value, place.at(name));
 }
 
 std::optional<ModelRequest> read_model(const json& value, const Place& place, const kernels::Catalogue& catalogue) {
