@@ -44,7 +44,7 @@ bool is_diffuse(const Model& model, std::size_t parameter) {
 
 double column(const char* name, const Direction& direction) {
     for (const kernels::GeometryColumn& c : kernels::geometry_columns())
-        if (c.name == name) return c.value(canonical(direction));
+        if (c.name == name) return c.value(kernels::Angles(canonical(direction)));
     throw std::invalid_argument(name);
 }
 
@@ -169,7 +169,7 @@ const HostKernel& host_kernel(const Model& model, Precision precision) {
 std::vector<double> columns_of(const std::vector<Direction>& directions) {
     std::vector<double> columns;
     for (const kernels::GeometryColumn& c : kernels::geometry_columns())
-        for (const Direction& direction : directions) columns.push_back(c.value(canonical(direction)));
+        for (const Direction& direction : directions) columns.push_back(c.value(kernels::Angles(canonical(direction))));
     return columns;
 }
 
@@ -286,8 +286,8 @@ TEST_P(GoldenTest, ValuesAndSlopesAreWithinTheirBounds) {
             }
         }
     }
-    EXPECT_LE(value.ratio, 32) << value.where;
-    EXPECT_LE(slope.ratio, 64) << slope.where;
+    EXPECT_LE(value.ratio, 16) << value.where;
+    EXPECT_LE(slope.ratio, 16) << slope.where;
     if (model->name != "lambert") {
         EXPECT_GT(compared, points.size() / 4);
     }
