@@ -191,6 +191,21 @@ X fresnel(const X& n, const X& k, const T& cos_d) {
     return (norm(c - q) / norm(c + q) + norm(parallel - q) / norm(parallel + q)) / X(2);
 }
 
+// Near n + i k = 1 the amplitudes cancel: the narrower type would keep too few digits there.
+template <typename T>
+Dual<T, 2> fresnelJet(double n, double k, const T& cos_d) {
+    using Wide = Dual<Real, 2>;
+    if (std::hypot(n - 1, k) > 1e-2) {
+        return fresnel(Dual<T, 2>(T(n), 0), Dual<T, 2>(T(k), 1), cos_d);
+    }
+    const Wide wide = fresnel(Wide(Real(n), 0), Wide(Real(k), 1), Real(cos_d));
+    Dual<T, 2> result(static_cast<T>(wide.v));
+    for (std::size_t i = 0; i < 2; ++i) {
+        result.d[i] = static_cast<T>(wide.d[i]);
+    }
+    return result;
+}
+
 // K = tan(theta) erfc(tau cot(theta) / (2 sigma_0)) and the shadowing S = (1 - erfc / 2) / (1 + Lambda) of
 // one direction.
 template <typename X>
@@ -523,7 +538,7 @@ Jet<T> jet(std::string_view model, std::span<const double> parameters, const Geo
             }
             break;
         case Model::kHeTorrance: {
-            const Pair reflectance = fresnel(Pair(p(2), 0), Pair(p(3), 1), dot(directions.u, directions.half));
+            const Pair reflectance = fresnelJet(parameters[2], parameters[3], T(dot(directions.u, directions.half)));
             const Pair rest = roughness(Pair(p(0), 0), Pair(p(1), 1), directions);
             result.specular = reflectance.v * rest.v;
             for (std::size_t j = 0; j < 2; ++j) {
