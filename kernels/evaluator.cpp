@@ -1,6 +1,7 @@
 #include "kernels/evaluator.h"
 
 #include <algorithm>
+#include <limits>
 
 #include "kernels/engine_impl.h"
 
@@ -236,7 +237,8 @@ Values evaluate(Engine& engine, const Model& model, Precision precision, const s
     if (gradient) values.by_parameter.assign(model.parameters.size() * n, 0.0);
     std::size_t row = 0;
     const auto add = [&](double* to, double factor, std::size_t from) {
-        for (std::size_t i = 0; i < n; ++i) to[i] += factor * rows[from * n + i];
+        constexpr double kMost = std::numeric_limits<double>::max();  // where saturated lobes add up
+        for (std::size_t i = 0; i < n; ++i) to[i] = std::clamp(to[i] + factor * rows[from * n + i], -kMost, kMost);
     };
     for (std::size_t t = 0; t < model.terms.size(); ++t) {
         const Term& term = model.terms[t];

@@ -1,5 +1,6 @@
 #include "kernels/geometry.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <numbers>
@@ -17,6 +18,9 @@ long double cos_deg(long double degrees) {
     return a < 45 ? std::cos(a * kRadian) : std::sin((90 - a) * kRadian);
 }
 
+/// 90 - (a + b) for a, b >= 0, exact where it is small.
+long double complement_of_sum(long double a, long double b) { return (90 - std::max(a, b)) - std::min(a, b); }
+
 }  // namespace
 
 /// In long double, whose further bits (on x86) are for what sums of products lose when they nearly vanish. Sums and
@@ -28,12 +32,10 @@ Angles::Angles(const Direction& d)
       cos_r(cos_deg(d.theta_r_deg)),
       cos_phi(cos_deg(d.phi_deg)),
       lift(sin_i * sin_r * sqr(sin_deg(d.phi_deg / 2.0L))),
-      cos_difference(cos_deg(static_cast<long double>(d.theta_r_deg) - d.theta_i_deg)),
+      cos_sum_of_angles(sin_deg(complement_of_sum(d.theta_i_deg, std::abs(d.theta_r_deg)))),
       sin_half_difference(sin_deg((static_cast<long double>(d.theta_r_deg) - d.theta_i_deg) / 2)),
-      sin_half_sum(sin_deg((static_cast<long double>(d.theta_r_deg) + d.theta_i_deg) / 2)) {
-    const long double complement = ((90 - static_cast<long double>(d.theta_i_deg)) + (90 - d.theta_r_deg)) / 2;
-    cos_half_sum = complement > 45 ? cos_deg(90 - complement) : sin_deg(complement);
-}
+      sin_half_sum(sin_deg((static_cast<long double>(d.theta_r_deg) + d.theta_i_deg) / 2)),
+      cos_half_sum(sin_deg(((90 - static_cast<long double>(d.theta_i_deg)) + (90 - d.theta_r_deg)) / 2)) {}
 
 namespace {
 
@@ -45,7 +47,7 @@ double log_cos_alpha(const Angles& d) {
     const long double q = 2 * (sqr(d.sin_half_difference) + d.lift);  // 1 - cos alpha
     if (q < 0.5L) return static_cast<double>(std::log1p(-q));
     const long double c =
-        d.sin_r > 0 ? d.cos_i * d.cos_r + d.sin_i * d.sin_r * d.cos_phi : d.cos_difference - 2 * d.lift;
+        d.sin_r > 0 ? d.cos_i * d.cos_r + d.sin_i * d.sin_r * d.cos_phi : d.cos_sum_of_angles - 2 * d.lift;
     return c > 0 ? static_cast<double>(std::log(c)) : -1e30;
 }
 

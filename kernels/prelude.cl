@@ -49,8 +49,8 @@ inline scalar sum_lanes(real x) {
 #define PI 3.14159265358979323846
 
 #if REAL_IS_DOUBLE
-#define LOG_HUGE 700.0                     /* a lobe saturates at exp of this instead of overflowing */
-#define HUGE_SLOPE 1e305                   /* ... and its slopes here */
+#define LOG_HUGE 709.0                     /* a lobe saturates at exp of this instead of overflowing */
+#define HUGE_SLOPE 1e308                   /* ... and its slopes here */
 #define HUGE_SUMMED 1e130                  /* what is summed in squares saturates here */
 #define LOG_SHIFT 300.0
 #define EXP_MINUS_SHIFT 5.148200222412014e-131 /* exp(-LOG_SHIFT) */
@@ -59,8 +59,8 @@ inline scalar sum_lanes(real x) {
 #define LOG_EPSILON 37.5                   /* ln(1/eps) to which series are summed */
 #define COLLINEAR 1e-13                    /* unit columns closer than this, squared, count as one */
 #else
-#define LOG_HUGE 86.0
-#define HUGE_SLOPE 1e38
+#define LOG_HUGE 88.0
+#define HUGE_SLOPE 3e38
 #define HUGE_SUMMED 1e15
 #define LOG_SHIFT 60.0
 #define EXP_MINUS_SHIFT 8.75651076269652e-27

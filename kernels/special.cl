@@ -2,6 +2,9 @@
 
 inline real sqr(real x) { return x * x; }
 
+/* x, short of overflow. */
+inline real saturated(real x) { return fmin(fmax(x, (real)-HUGE_SLOPE), (real)HUGE_SLOPE); }
+
 /* exp(x) as mantissa times factor, for x <= LOG_HUGE: the factor, 1 or tiny, holds off underflow until a large prefactor
  * has been multiplied in. */
 typedef struct {

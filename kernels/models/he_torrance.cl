@@ -3,7 +3,7 @@
   "source": "He, Torrance, Sillion, Greenberg 1991, corrected as in docs/numerics.md; without the ideal specular spike",
   "formula": "f = rho_ud/pi + F(theta_d) G S(theta_i) S(theta_r) D / (pi cos theta_i cos theta_r)",
   "parameters": [
-    {"name": "sigma", "unit": "wavelength", "min": 1e-3, "max": 20, "domain": [0, 1e6], "typical": [0.02, 4],
+    {"name": "sigma", "unit": "wavelength", "min": 1e-3, "max": 20, "domain": [0, 1e5], "typical": [0.02, 4],
      "scale": "log", "doc": "rms height of the surface"},
     {"name": "tau", "unit": "wavelength", "min": 0.1, "max": 200, "domain": [0, 1e6], "typical": [0.5, 60],
      "scale": "log", "doc": "autocorrelation length of the surface"},
@@ -164,9 +164,11 @@ inline Series poisson_series(real g, real a) {
         b.M1 = 0.0;
         b.M2 = 0.0;
         b.Q = 0.0;
-        const real stride = fmax(floor(width * (4.0 / sqrt(L))), (real)1.0);
+        /* Steps on a grid where m is exact, should the numbers near high be wider apart than 1. */
+        const real grid = 2.0 * high;
+        const real stride = fmax((floor(width * (4.0 / sqrt(L))) + grid) - grid, (real)1.0);
         const mask smooth = width > 2.0;
-        real m = sel(bell, floor(low), 1.0);
+        real m = sel(bell, fmax((floor(low) + grid) - grid, (real)1.0), 1.0);
         mask active = bell;
         while (any_lane(active)) {
             const real inverse = 1.0 / m;
@@ -193,9 +195,7 @@ inline Series poisson_series(real g, real a) {
 }
 
 /* x height^2, in this order (see Series); saturates. */
-inline real raised(real x, Series M) {
-    return fmin(fmax(x, (real)-HUGE_SLOPE), (real)HUGE_SLOPE) * M.height * M.height;
-}
+inline real raised(real x, Series M) { return saturated(x) * M.height * M.height; }
 
 void brdf(Params p, Geometry s, Terms *f) {
     f->diffuse.value = 1.0 / PI;

@@ -32,10 +32,10 @@ void brdf(Params p, Geometry s, Terms *f) {
         const real l = log(base);
         const Exponential v = exponential(fmin(p.lobe[j].n * l, (real)LOG_HUGE)); /* saturates */
         const real value = sel(lit, v.mantissa, 0.0);
-        const real slope = fmin(value * fmin(p.lobe[j].n / base, (real)HUGE_SLOPE), (real)HUGE_SLOPE) * v.factor;
+        const real slope = fmin(p.lobe[j].n / base, (real)HUGE_SLOPE);
         f->lobe[j].value = value * v.factor;
-        f->lobe[j].c_xy = slope * s.hxy;
-        f->lobe[j].c_z = slope * s.hz;
-        f->lobe[j].n = fmin(value * l, (real)HUGE_SLOPE) * v.factor;
+        f->lobe[j].c_xy = saturated(value * (slope * s.hxy)) * v.factor;
+        f->lobe[j].c_z = saturated(value * (slope * s.hz)) * v.factor;
+        f->lobe[j].n = saturated(value * l) * v.factor;
     }
 }

@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <array>
 #include <boost/math/constants/constants.hpp>
 #include <boost/math/quadrature/gauss_kronrod.hpp>
@@ -16,6 +17,7 @@
 #include <vector>
 
 #include "reference.h"
+#include "tests/numerics/points.h"
 
 namespace brdfit::reference {
 namespace {
@@ -337,6 +339,70 @@ TEST(ReferenceGradient, AgreesWithDerivativesKnownInClosedForm) {
     EXPECT_LT(relativeDifference(h[2], at_normal * 4 / Real(1.25)), 1e-44);
     EXPECT_LT(abs(h[3]), 1e-44 * at_normal);
     EXPECT_LT(relativeDifference(h[4], 1 / kPi), 1e-44);
+}
+
+// ---- the narrower type and the differentiation against the wide type and differences, at extreme points ----
+
+class ReferenceTypes : public testing::TestWithParam<std::string> {};
+INSTANTIATE_TEST_SUITE_P(Models, ReferenceTypes,
+                         testing::Values("phong", "ward", "lafortune_1", "lafortune_3", "he_torrance"),
+                         [](const auto& parameter) { return parameter.param; });
+
+Geometry geometryOf(const tests::Point& point) {
+    return {point.direction.theta_i_deg, point.direction.theta_r_deg, point.direction.phi_deg};
+}
+
+TEST_P(ReferenceTypes, FastOneAgreesWithTheJudge) {
+    const kernels::Model& model = tests::variant(GetParam());
+    const bool costly = model.name == "he_torrance";
+    const auto points = tests::golden(
+        model, tests::draw_points(model, kernels::Precision::double_precision, costly ? 300 : 2000, 20040203));
+    double worst = 0;
+    std::string where;
+    for (const tests::Golden& point : points) {
+        if (!(point.specular > 1e-320L && point.specular < 1e320L)) continue;
+        const Jet<Fast> fast = jet<Fast>(model.name, point.parameters, geometryOf(point));
+        const Jet<Real> wide = jet<Real>(model.name, point.parameters, geometryOf(point));
+        const auto check = [&](const Fast& a, const Real& b, long double size, long double condition) {
+            const auto error = Real(abs(Real(a) - b) / (Real(size) * (1 + Real(condition)))).convert_to<double>();
+            if (error <= worst) return;
+            worst = error;
+            where = tests::describe(model, point);
+        };
+        check(fast.specular, wide.specular, point.specular, point.condition);
+        for (std::size_t j = 0; j < point.parameters.size(); ++j)
+            check(fast.gradient[j], wide.gradient[j], tests::slope_size(point, j), point.slope_condition);
+    }
+    EXPECT_LT(worst, 1e-22) << where;
+    std::printf("%s: 113 bits agree with 256 bits to %.1e (1 + condition)\n", GetParam().c_str(), worst);
+}
+
+TEST_P(ReferenceTypes, DifferentiationAgreesWithDifferences) {
+    const kernels::Model& model = tests::variant(GetParam());
+    const bool costly = model.name == "he_torrance";
+    const auto points = tests::golden(
+        model, tests::draw_points(model, kernels::Precision::double_precision, costly ? 150 : 1000, 19910728));
+    std::size_t compared = 0;
+    for (const tests::Golden& point : points) {
+        if (!(point.specular > 1e-320L && point.specular < 1e320L)) continue;
+        // An index about the difference's step from 1; more terms than there is time for.
+        if (costly && std::hypot(point.parameters[2] - 1, point.parameters[3]) < 1e-6) continue;
+        if (costly && std::pow(2 * kPiDouble * point.parameters[0] * tests::Angles(point.direction).cs, 2) > 1e3)
+            continue;
+        // A coefficient of about the difference's step.
+        if (model.name == "lafortune" && std::any_of(point.parameters.begin() + 1, point.parameters.end(),
+                                                     [](double p) { return std::abs(p) < 1e-3; }))
+            continue;
+        ++compared;
+        const Jet<Real> wide = jet<Real>(model.name, point.parameters, geometryOf(point));
+        const std::vector<Real> differences = gradient(model.name, point.parameters, geometryOf(point));
+        for (std::size_t j = 0; j < point.parameters.size(); ++j) {
+            const Real size = Real(tests::slope_size(point, j)) * (1 + Real(point.slope_condition));
+            EXPECT_LT(abs(wide.gradient[j] - differences[j]), 1e-26 * size)
+                << j << " at " << tests::describe(model, point);
+        }
+    }
+    EXPECT_GT(compared, points.size() / 2);
 }
 
 TEST(ReferenceArguments, UnknownModelsAndWrongParameterCountsAreRefused) {
