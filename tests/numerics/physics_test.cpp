@@ -175,7 +175,7 @@ TEST(Phong, WeightIsTheLobesIntegralOverTheHemisphereAtNormalIncidence) {
 }
 
 TEST(Phong, NarrowsWithTheRootOfTheExponent) {
-    for (const double n : {1e2, 1e3, 1e4, 1e5}) {
+    for (const double n : {1e2, 1e3, 1e4, 1e5, 1e6}) {
         const double half_width = 180 / kPi * std::sqrt(2 * std::log(2)) / std::sqrt(n);  // 67.5 deg/sqrt(n)
         const double peak = value("phong", {0, 1, n}, {30, 30, 0});
         EXPECT_NEAR(value("phong", {0, 1, n}, {30, 30 + half_width, 0}) / peak, 0.5, 1 / n);
@@ -203,6 +203,16 @@ TEST(Ward, FallsByEWhereTheHalfVectorsTangentIsTheWidth) {
                 std::exp(-1), 1e-12);
 }
 
+TEST(Ward, NarrowLobesKeepTheirPeakAndTheirWidth) {
+    for (const double alpha : {1e-2, 1e-3, 1e-4, 1e-5, 1e-6}) {
+        EXPECT_NEAR(value("ward", {0, 1, alpha}, {30, 30, 0}) * 4 * kPi * alpha * alpha * cos_deg(30), 1, 1e-14);
+        const double away = 2 * std::atan(alpha) * 180 / kPi;
+        // The angle's own rounding is of the order of 1e-14/alpha.
+        EXPECT_NEAR(value("ward", {0, 1, alpha}, {0, away, 0}) * 4 * kPi * alpha * alpha, std::exp(-1),
+                    alpha * alpha + 1e-14 / alpha);
+    }
+}
+
 TEST(Ward, NarrowestLobeIsExactlyZeroAwayFromThePeak) {
     const Values values = at("ward", {0.3, 1, 1e-6}, {{20, 30, 0}, {20, -70, 0}});
     for (const double f : values.f) EXPECT_DOUBLE_EQ(f, 0.3 / kPi);
@@ -217,13 +227,17 @@ TEST(Lafortune, LobesWithANegativeBaseAreDark) {
     }
 }
 
-TEST(Lafortune, SlopesVanishWithTheBaseForExponentsAboveOne) {
-    // b = cos(theta_i + theta_r) -> 0+
-    for (const double away : {1e-3, 1e-6, 1e-9}) {
-        const Values values = at("lafortune_1", {0, 1, 1, 2}, {{45, 45 - away, 0}});
-        const double b = std::sin(away * kPi / 180);  // and u_x v_x = -1/2
-        EXPECT_NEAR(values.by_parameter[1], -b, 1e-4 * b);
-    }
+TEST(Lafortune, SlopesFollowThePowerOfTheBaseAsItVanishes) {
+    // b = cos(theta_i + theta_r) -> 0+: df/dc_xy = n b^(n-1) u_x v_x, which diverges for n < 1.
+    for (const double n : {0.25, 1.0, 2.0, 3.5})
+        for (const double away : {1e-3, 1e-6, 1e-9}) {
+            const Values values = at("lafortune_1", {0, 1, 1, n}, {{45, 45 - away, 0}});
+            // The angle is known to 1e-14 degrees; u_x v_x is -1/2 to the first order.
+            const double b = std::sin(away * kPi / 180);
+            const double expected = -n * std::pow(b, n - 1) / 2;
+            EXPECT_NEAR(values.by_parameter[1] / expected, 1, 0.1 * away + 2e-14 / away) << n << " " << away;
+            EXPECT_NEAR(values.f[0] / std::pow(b, n), 1, n * 2e-14 / away) << n << " " << away;
+        }
 }
 
 TEST(Lafortune, LobesAddUp) {
@@ -282,6 +296,91 @@ TEST(HeTorrance, SmoothSurfacesTailsHoldMoreThanTheFirstTerm) {
     const double expected = reflectance(1.5, 0, theta_r / 2) * std::pow(4 * cd2 / (1 + cos_deg(theta_r)), 2) *
                             std::pow(kPi * tau, 2) / 4 * sum / (kPi * cos_deg(theta_r));
     EXPECT_NEAR(value("he_torrance", {sigma, tau, 1.5, 0, 0}, {0, theta_r, 0}) / expected, 1, 1e-11);
+}
+
+/// f_dd of a gentle surface, where neither shadowing nor effective roughness enters, from its series.
+double gentle(double n, const Direction& d, double tau, double series) {
+    const double ci = cos_deg(d.theta_i_deg), cr = cos_deg(d.theta_r_deg);
+    const double theta_d = (d.theta_r_deg + d.theta_i_deg) / 2;
+    const double geometric = std::pow(4 * std::pow(cos_deg(theta_d), 2) / (ci + cr), 2);
+    return reflectance(n, 0, theta_d) * geometric * std::pow(kPi * tau, 2) / 4 * series / (kPi * ci * cr);
+}
+
+TEST(HeTorrance, SmoothSurfacesHaveTheFirstTermsOfTheSeries) {
+    // M_1 = g e^-g (e^-a + g/4 e^(-a/2) + g^2/18 e^(-a/3) + ...); sigma -> 0 leaves the first, or, far out, the second.
+    const Direction d{20, 50, 0};
+    const double cs = cos_deg(20) + cos_deg(50);
+    const double w = std::pow(std::sin(50 * kPi / 180) - std::sin(20 * kPi / 180), 2);
+    for (const double sigma : {1e-6, 1e-5, 1e-4, 1e-3})
+        for (const double a : {0.01, 1.0, 10.0}) {
+            const double g = std::pow(2 * kPi * sigma * cs, 2);
+            const double tau = std::sqrt(a / w) / kPi;
+            double series = 0;
+            for (int m = 1; m < 8; ++m) series += std::pow(g, m) / std::tgamma(m + 1) / m * std::exp(-g - a / m);
+            EXPECT_NEAR(value("he_torrance", {sigma, tau, 1.5, 0, 0}, d) / gentle(1.5, d, tau, series), 1, 1e-12)
+                << sigma << " " << a;
+        }
+}
+
+TEST(HeTorrance, RoughSurfacesHaveTheAsymptoticSeriesInTheMirrorDirection) {
+    // M_1 ~ 1/g + 1!/g^2 + 2!/g^3 + ...
+    for (const double g : {1e3, 1e4, 1e5}) {
+        const double sigma = std::sqrt(g) / (4 * kPi);
+        const double tau = 40 * sigma;
+        double series = 0, term = 1 / g;
+        for (int m = 1; m < 12; ++m, term *= (m - 1) / g) series += term;
+        EXPECT_NEAR(value("he_torrance", {sigma, tau, 1.5, 0, 0}, {0, 0, 0}) / gentle(1.5, {0, 0, 0}, tau, series), 1,
+                    1e-12)
+            << g;
+    }
+}
+
+TEST(HeTorrance, RetroReflectionHasTheSimplifiedGeometricFactor) {
+    // Where the literal polarisation vectors are 0/0: G = 4/cos^2 theta_i, theta_d = 0, w = 4 sin^2 theta_i.
+    for (const double theta : {0.0, 20.0, 60.0}) {
+        const double sigma = 0.2, tau = 100 * sigma;
+        const double g = std::pow(4 * kPi * sigma * cos_deg(theta), 2);
+        const double a = std::pow(2 * kPi * tau * std::sin(theta * kPi / 180), 2);
+        double series = 0;
+        for (int m = 1; m < 3000; ++m) series += std::exp(-g + m * std::log(g) - std::lgamma(m + 1) - a / m) / m;
+        if (series < 1e-290) series = 0;
+        const double expected = gentle(1.5, {theta, -theta, 0}, tau, series);
+        for (const Direction& d : std::vector<Direction>{{theta, -theta, 0}, {theta, theta, 180}}) {
+            EXPECT_NEAR(value("he_torrance", {sigma, tau, 1.5, 0, 0}, d), expected, 1e-9 * expected + 1e-280) << theta;
+        }
+    }
+}
+
+TEST(HeTorrance, OneGrazingDirectionHasTheLimitsOfShadowingAndRoughness) {
+    // S_1/cos theta -> sqrt(pi) tau/(2 sigma sin theta), K -> tan theta - tau/(sqrt(pi) sigma), W e^W = K^2/(8 pi).
+    const double sigma = 0.3, tau = 3, theta_r = 5;
+    for (const double theta_i : {90 - 1e-4, 90 - 1e-6, 90 - 1e-8}) {
+        const double away = 90 - theta_i;
+        const double cosine = std::sin(away * kPi / 180);
+        const double log_z = 2 * std::log((1 / cosine - tau / (std::sqrt(kPi) * sigma)) / std::sqrt(8 * kPi));
+        double w = log_z;
+        for (int step = 0; step < 50; ++step) w = w * (1 + log_z - std::log(w)) / (1 + w);
+        const double cs = cosine + cos_deg(theta_r);
+        const double g = std::pow(2 * kPi * sigma * cs, 2) / (1 + w);
+        const double sines = std::cos(away * kPi / 180) - std::sin(theta_r * kPi / 180);
+        const double a = std::pow(kPi * tau * sines, 2);
+        double series = 0;
+        for (int m = 1; m < 200; ++m) series += std::exp(-g + m * std::log(g) - std::lgamma(m + 1) - a / m) / m;
+        const double cd2 = std::pow(cos_deg((90 - away + theta_r) / 2), 2);
+        const double theta_d = (90 - away + theta_r) / 2;
+        const double expected = reflectance(1.5, 0, theta_d) * std::pow(4 * cd2 / cs, 2) * std::sqrt(kPi) * tau /
+                                (2 * sigma) * std::pow(kPi * tau, 2) / 4 * series / (kPi * cos_deg(theta_r));
+        EXPECT_NEAR(value("he_torrance", {sigma, tau, 1.5, 0, 0}, {theta_i, theta_r, 0}) / expected, 1, away) << away;
+    }
+}
+
+TEST(HeTorrance, SteepSurfacesAreShadowedInProportionToTheirSlope) {
+    // h -> 0: S_1 -> sqrt(pi) h in both directions, and K -> tan theta: f ~ tau^4 in the mirror direction.
+    for (const double tau : {1e-3, 1e-5, 1e-7})
+        EXPECT_NEAR(value("he_torrance", {0.5, tau, 1.5, 0, 0}, {60, 60, 0}) /
+                        value("he_torrance", {0.5, tau / 10, 1.5, 0, 0}, {60, 60, 0}),
+                    1e4, 1e5 * tau)
+            << tau;
 }
 
 TEST(HeTorrance, RoughSurfacesApproachBeckmannsMicrofacets) {

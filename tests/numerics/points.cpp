@@ -115,7 +115,7 @@ std::vector<double> draw_lafortune(Random& random, const Direction& direction, d
 }
 
 /// Draws g, tau/sigma and the index, and moves the viewer to where the lobe is neither flat nor gone.
-std::vector<double> draw_he_torrance(Random& random, Direction& direction, bool may_move) {
+std::vector<double> draw_he_torrance(Random& random, Direction& direction, bool may_move, double eps) {
     Angles angles(direction);
     // Few of the largest: their reference sums thousands of terms.
     const double kind = random.uniform(0, 1);
@@ -145,22 +145,24 @@ std::vector<double> draw_he_torrance(Random& random, Direction& direction, bool 
     const double index_kind = random.uniform(0, 1);
     if (index_kind < 0.1) n = 1;
     else if (index_kind < 0.25) n = 1 + log_uniform(random, 1e-12, 0.5) * (random.chance(0.7) ? 1 : -1);
-    else if (index_kind < 0.45 && angles.sd2 > 0)  // total reflection, and its onset
+    else if (index_kind < 0.45 && angles.sd2 > 1e-5)  // total reflection, and its onset
         n = std::sqrt(angles.sd2) *
-            (random.chance(0.5) ? random.uniform(0.2, 1) : 1 + log_uniform(random, 1e-9, 0.1) * sign(random));
+            (random.chance(0.5) ? random.uniform(0.2, 1) : 1 + log_uniform(random, 64 * eps, 0.1) * sign(random));
     double k = 0;
     if (random.chance(0.6)) k = random.chance(0.5) ? random.uniform(0, 20) : log_uniform(random, 1e-15, 20);
     return {sigma, tau, n, k, random.uniform(0, 1)};
 }
 
-Point draw_point(Random& random, const Model& model, double exponent, std::size_t index) {
+Point draw_point(Random& random, const Model& model, const Range& range, std::size_t index) {
+    const double exponent = range.exponent;
     Point point;
     Direction& d = point.direction;
     d = draw_direction(random, index);
     if (model.name == "phong") point.parameters = draw_phong(random, d, exponent);
     else if (model.name == "ward") point.parameters = draw_ward(random, d, exponent);
     else if (model.name == "lafortune") point.parameters = draw_lafortune(random, d, exponent, model.repeats);
-    else if (model.name == "he_torrance") point.parameters = draw_he_torrance(random, d, index % 20 != 0);
+    else if (model.name == "he_torrance")
+        point.parameters = draw_he_torrance(random, d, index % 20 != 0, static_cast<double>(range.eps));
     else point.parameters = random.parameters(model);
     return point;
 }
@@ -188,8 +190,17 @@ long double homogeneous_condition(const Model& model, const Point& point) {
     return largest;
 }
 
+/// Fresnel's equations hold q = sqrt(N^2 - sin^2 theta_d), N = n + ik, and their slopes 1/q, whose own condition is
+/// (|N|^2 + sin^2 theta_d)/|q|^2: large where total reflection begins.
+long double root_condition(const Point& point) {
+    const Angles angles(point.direction);
+    const long double n = point.parameters[2], k = point.parameters[3];
+    const long double q_squared = std::hypot((n - 1) * (n + 1) - k * k + angles.cd2, 2 * n * k);
+    return (n * n + k * k + angles.sd2) / q_squared;
+}
+
 Golden golden(const Model& model, const Point& point) {
-    Golden result{point, 0, {}, 0, 0};
+    Golden result{point, 0, {}, 0, {}};
     const auto jet = reference::jet<reference::Fast>(
         model.name, point.parameters,
         {point.direction.theta_i_deg, point.direction.theta_r_deg, point.direction.phi_deg});
@@ -200,7 +211,11 @@ Golden golden(const Model& model, const Point& point) {
             if (!is_diffuse(model, j))
                 result.condition +=
                     std::abs(static_cast<long double>(point.parameters[j]) * result.gradient[j] / result.specular);
-    result.slope_condition = result.condition + homogeneous_condition(model, point);
+    result.slope_condition.assign(point.parameters.size(), result.condition + homogeneous_condition(model, point));
+    if (model.name == "he_torrance") {
+        result.slope_condition[2] += root_condition(point);
+        result.slope_condition[3] += root_condition(point);
+    }
     return result;
 }
 
@@ -259,6 +274,7 @@ Angles::Angles(const Direction& direction) {
     w = std::max(0.0, std::pow(2 * cosine(half_sum) * half_difference, 2) + 4 * lift);
     tan2 = w / (cs * cs);
     sd2 = std::max(0.0, std::pow(std::sin(half_sum * kRadian), 2) - lift);
+    cd2 = std::pow(cosine(half_sum), 2) + lift;
     hxy = -si * sr * std::cos(direction.phi_deg * kRadian);
     hz = ci * cr;
 }
@@ -272,7 +288,7 @@ std::vector<Point> draw_points(const Model& model, Precision precision, std::siz
     Random random(seed);
     std::vector<Point> points;
     for (std::size_t i = 0; i < count; ++i) {
-        points.push_back(draw_point(random, model, range_of(precision).exponent, i));
+        points.push_back(draw_point(random, model, range_of(precision), i));
         round_to(precision, points.back().parameters);
     }
     return points;
@@ -349,6 +365,9 @@ std::string describe(const Model& model, const Point& point) {
     return text + buffer;
 }
 
+/// Smaller results may be taken for 0.
+long double faint(const Range& range) { return 4 * range.smallest; }
+
 void Errors::expect(bool good, const Golden& point, const char* what, double got, long double expected) {
     if (good) return;
     char buffer[100];
@@ -356,41 +375,45 @@ void Errors::expect(bool good, const Golden& point, const char* what, double got
     if (broken++ == 0) broken_where = what + std::string(buffer) + describe(model_, point);
 }
 
+std::vector<double> errors_of(const Range& range, const Golden& point, const Measured& got) {
+    constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+    const long double f = point.specular;
+    const bool is_compared = f >= faint(range) && f <= range.largest / 2;
+    std::vector<double> errors{kNone};
+    if (is_compared) errors[0] = static_cast<double>((got.specular - f) / (range.eps * (1 + point.condition) * f));
+    for (std::size_t j = 0; j < point.gradient.size(); ++j) {
+        const long double size = slope_size(point, j);
+        const bool in_range = is_compared && size >= faint(range) && size <= range.finite / 2;
+        const long double unit = range.eps * (1 + point.slope_condition[j]) * size;
+        errors.push_back(in_range ? static_cast<double>((got.gradient[j] - point.gradient[j]) / unit) : kNone);
+    }
+    return errors;
+}
+
 void Errors::add(const Golden& point, const Measured& got) {
-    const auto keep = [&](Worst& worst, long double error, long double unit, const std::string& what) {
-        if (error == 0) return;
-        const auto ratio = static_cast<double>(error / unit);
-        if (!(ratio > worst.ratio)) return;  // nor NaN: it counts as broken
-        worst.ratio = ratio;
+    const std::vector<double> errors = errors_of(range_, point, got);
+    const auto keep = [&](Worst& worst, double error, const std::string& what) {
+        if (!(std::abs(error) > worst.ratio)) return;  // nor NaN: it counts as broken, or is not compared
+        worst.ratio = std::abs(error);
         worst.where = what + describe(model_, point);
     };
-    // The largest result that may be taken for 0.
-    const long double floor = 4 * range_.smallest;
     const long double f = point.specular;
     const auto specular = static_cast<double>(got.specular);
     expect(std::isfinite(specular) && specular >= 0, point, "f", specular, f);
-    const bool is_faint = f < floor;
-    const bool is_saturated = f > range_.largest / 2;
-    if (is_saturated) {
-        expect(got.specular >= range_.largest / 2, point, "f", specular, f);
-    } else if (is_faint) {
-        expect(got.specular <= 2 * floor, point, "f", specular, f);
-    } else {
-        ++compared;
-        keep(value, std::abs(got.specular - f), range_.eps * (1 + point.condition) * f, "");
-    }
+    const bool is_faint = f < faint(range_);
+    if (f > range_.largest / 2) expect(got.specular >= range_.largest / 2, point, "f", specular, f);
+    else if (is_faint) expect(got.specular <= 2 * faint(range_), point, "f", specular, f);
+    else ++compared;
+    keep(value, errors[0], "");
     for (std::size_t j = 0; j < point.gradient.size(); ++j) {
         const std::string& name = model_.parameters[j].name;
         const auto slope_got = static_cast<double>(got.gradient[j]);
-        const long double g = point.gradient[j];
+        expect(std::isfinite(slope_got), point, name.c_str(), slope_got, point.gradient[j]);
         const long double size = slope_size(point, j);
-        expect(std::isfinite(slope_got), point, name.c_str(), slope_got, g);
-        if (is_saturated || size > range_.finite / 2) continue;
-        if (size < floor || is_faint) {
-            expect(std::abs(got.gradient[j]) <= 2 * std::max(floor, size), point, name.c_str(), slope_got, g);
-            continue;
-        }
-        keep(slope, std::abs(got.gradient[j] - g), range_.eps * (1 + point.slope_condition) * size, name + " at ");
+        if (size < faint(range_) || is_faint)
+            expect(std::abs(got.gradient[j]) <= 2 * std::max(faint(range_), size), point, name.c_str(), slope_got,
+                   point.gradient[j]);
+        keep(slope, errors[1 + j], name + " at ");
     }
 }
 

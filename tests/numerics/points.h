@@ -36,8 +36,8 @@ struct Point {
 struct Golden : Point {
     long double specular = 0;
     std::vector<long double> gradient;
-    long double condition = 0;  ///< sum over parameters |p df_spec/dp|/|f_spec|
-    long double slope_condition = 0;
+    long double condition = 0;                 ///< sum over parameters |p df_spec/dp|/|f_spec|
+    std::vector<long double> slope_condition;  ///< a slope's own may be larger
 };
 
 /// The angles' functions that the models are made of, good enough to place points by.
@@ -47,7 +47,7 @@ struct Angles {
     double log_cos_alpha;  ///< -inf beyond 90 degrees
     double w;              ///< |u_xy + v_xy|^2
     double tan2;           ///< of the half vector's angle to the normal
-    double sd2;
+    double cd2, sd2;       ///< of either direction's angle to the half vector
     double hxy, hz;
 };
 
@@ -87,6 +87,12 @@ std::vector<Measured> measure(const kernels::Model& model, kernels::Precision pr
 long double slope_size(const Golden& point, std::size_t parameter);
 /// All parameters and angles, in hexadecimal and in decimal.
 std::string describe(const kernels::Model& model, const Point& point);
+
+long double faint(const Range& range);
+
+/// The errors of the value and of each slope in eps (1 + condition), with their sign; NaN where the result may flush to
+/// 0 or saturate.
+std::vector<double> errors_of(const Range& range, const Golden& point, const Measured& got);
 
 /// The worst errors over points, in eps (1 + condition), and where they were.
 class Errors {

@@ -371,7 +371,7 @@ TEST_P(ReferenceTypes, FastOneAgreesWithTheJudge) {
         };
         check(fast.specular, wide.specular, point.specular, point.condition);
         for (std::size_t j = 0; j < point.parameters.size(); ++j)
-            check(fast.gradient[j], wide.gradient[j], tests::slope_size(point, j), point.slope_condition);
+            check(fast.gradient[j], wide.gradient[j], tests::slope_size(point, j), point.slope_condition[j]);
     }
     EXPECT_LT(worst, 1e-22) << where;
     std::printf("%s: 113 bits agree with 256 bits to %.1e (1 + condition)\n", GetParam().c_str(), worst);
@@ -397,7 +397,7 @@ TEST_P(ReferenceTypes, DifferentiationAgreesWithDifferences) {
         const Jet<Real> wide = jet<Real>(model.name, point.parameters, geometryOf(point));
         const std::vector<Real> differences = gradient(model.name, point.parameters, geometryOf(point));
         for (std::size_t j = 0; j < point.parameters.size(); ++j) {
-            const Real size = Real(tests::slope_size(point, j)) * (1 + Real(point.slope_condition));
+            const Real size = Real(tests::slope_size(point, j)) * (1 + Real(point.slope_condition[j]));
             EXPECT_LT(abs(wide.gradient[j] - differences[j]), 1e-26 * size)
                 << j << " at " << tests::describe(model, point);
         }
