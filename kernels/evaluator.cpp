@@ -1,6 +1,7 @@
 #include "kernels/evaluator.h"
 
 #include <algorithm>
+#include <limits>
 
 #include "kernels/engine_impl.h"
 
@@ -29,12 +30,12 @@ struct Evaluator::Impl {
         loss = cl::Kernel(program, "loss");
         terms = cl::Kernel(program, "terms");
 
-        std::vector<double> columns;
-        std::vector<Direction> padded_directions(padded, count ? directions.back() : Direction{});
-        std::transform(directions.begin(), directions.end(), padded_directions.begin(), canonical);
-        for (std::size_t i = count; i < padded; ++i) padded_directions[i] = canonical(padded_directions[i]);
-        for (const GeometryColumn& column : geometry_columns())
-            for (const Direction& direction : padded_directions) columns.push_back(column.value(direction));
+        std::vector<double> columns(geometry_columns().size() * padded);
+        for (std::size_t j = 0; j < padded; ++j) {
+            const Angles angles(canonical(count == 0 ? Direction{} : directions[std::min(j, count - 1)]));
+            for (std::size_t i = 0; i < geometry_columns().size(); ++i)
+                columns[i * padded + j] = geometry_columns()[i].value(angles);
+        }
         const auto pad = [&](std::span<const double> values) {
             std::vector<double> result(values.begin(), values.end());
             result.resize(padded, 0.0);
@@ -236,7 +237,8 @@ Values evaluate(Engine& engine, const Model& model, Precision precision, const s
     if (gradient) values.by_parameter.assign(model.parameters.size() * n, 0.0);
     std::size_t row = 0;
     const auto add = [&](double* to, double factor, std::size_t from) {
-        for (std::size_t i = 0; i < n; ++i) to[i] += factor * rows[from * n + i];
+        constexpr double kMost = std::numeric_limits<double>::max();  // where saturated lobes add up
+        for (std::size_t i = 0; i < n; ++i) to[i] = std::clamp(to[i] + factor * rows[from * n + i], -kMost, kMost);
     };
     for (std::size_t t = 0; t < model.terms.size(); ++t) {
         const Term& term = model.terms[t];

@@ -1,5 +1,6 @@
 #include "kernels/geometry.h"
 
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <numbers>
@@ -7,66 +8,70 @@
 namespace brdfit::kernels {
 namespace {
 
-constexpr double kRadian = std::numbers::pi / 180;
+constexpr long double kRadian = std::numbers::pi_v<long double> / 180;
 
-double sqr(double x) { return x * x; }
-double sin_deg(double degrees) { return std::sin(degrees * kRadian); }
+long double sqr(long double x) { return x * x; }
+long double sin_deg(long double degrees) { return std::sin(degrees * kRadian); }
 /// Accurate near 90 degrees, where cos of the rounded radians is not.
-double cos_deg(double degrees) {
-    const double a = std::abs(degrees);
+long double cos_deg(long double degrees) {
+    const long double a = std::abs(degrees);
     return a < 45 ? std::cos(a * kRadian) : std::sin((90 - a) * kRadian);
 }
-double tan_abs_deg(double degrees) { return std::abs(sin_deg(degrees)) / cos_deg(degrees); }
 
-double sin_i(const Direction& d) { return sin_deg(d.theta_i_deg); }
-double sin_r(const Direction& d) { return sin_deg(d.theta_r_deg); }
-double cos_i(const Direction& d) { return cos_deg(d.theta_i_deg); }
-double cos_r(const Direction& d) { return cos_deg(d.theta_r_deg); }
-/// sin^2(phi/2) sin theta_i sin theta_r: what leaving the plane of incidence adds. Exactly 0 within it.
-double lift(const Direction& d) { return d.phi_deg == 0 ? 0.0 : sin_i(d) * sin_r(d) * sqr(sin_deg(d.phi_deg / 2)); }
-/// Differences and sums are formed in degrees: exact for nearby angles.
-double sin_half_difference(const Direction& d) { return sin_deg((d.theta_r_deg - d.theta_i_deg) / 2); }
-double half_sum(const Direction& d) { return (d.theta_r_deg + d.theta_i_deg) / 2; }
+/// 90 - (a + b) for a, b >= 0, exact where it is small.
+long double complement_of_sum(long double a, long double b) { return (90 - std::max(a, b)) - std::min(a, b); }
 
-/// From the complements, which are exact near 90 degrees where the sum is not.
-double cos_half_sum(const Direction& d) {
-    const double m = half_sum(d);
-    return m < 45 ? std::cos(m * kRadian) : sin_deg(((90 - d.theta_i_deg) + (90 - d.theta_r_deg)) / 2);
+}  // namespace
+
+/// In long double, whose further bits (on x86) are for what sums of products lose when they nearly vanish. Sums and
+/// differences of angles are formed in degrees, where they are exact for nearby angles, and complements to 90 likewise.
+Angles::Angles(const Direction& d)
+    : sin_i(sin_deg(d.theta_i_deg)),
+      sin_r(sin_deg(d.theta_r_deg)),
+      cos_i(cos_deg(d.theta_i_deg)),
+      cos_r(cos_deg(d.theta_r_deg)),
+      cos_phi(cos_deg(d.phi_deg)),
+      lift(sin_i * sin_r * sqr(sin_deg(d.phi_deg / 2.0L))),
+      cos_sum_of_angles(sin_deg(complement_of_sum(d.theta_i_deg, std::abs(d.theta_r_deg)))),
+      sin_half_difference(sin_deg((static_cast<long double>(d.theta_r_deg) - d.theta_i_deg) / 2)),
+      sin_half_sum(sin_deg((static_cast<long double>(d.theta_r_deg) + d.theta_i_deg) / 2)),
+      cos_half_sum(sin_deg(((90 - static_cast<long double>(d.theta_i_deg)) + (90 - d.theta_r_deg)) / 2)) {}
+
+namespace {
+
+long double tangential_sum_squared(const Angles& d) {
+    return sqr(2 * d.cos_half_sum * d.sin_half_difference) + 4 * d.lift;
 }
 
-double one_minus_cos_alpha(const Direction& d) { return 2 * (sqr(sin_half_difference(d)) + lift(d)); }
-double tangential_sum_squared(const Direction& d) {
-    return sqr(2 * cos_half_sum(d) * sin_half_difference(d)) + 4 * lift(d);
+double log_cos_alpha(const Angles& d) {
+    const long double q = 2 * (sqr(d.sin_half_difference) + d.lift);  // 1 - cos alpha
+    if (q < 0.5L) return static_cast<double>(std::log1p(-q));
+    const long double c =
+        d.sin_r > 0 ? d.cos_i * d.cos_r + d.sin_i * d.sin_r * d.cos_phi : d.cos_sum_of_angles - 2 * d.lift;
+    return c > 0 ? static_cast<double>(std::log(c)) : -1e30;
 }
-double cos_sum(const Direction& d) { return cos_i(d) + cos_r(d); }
 
-double log_cos_alpha(const Direction& d) {
-    const double q = one_minus_cos_alpha(d);
-    if (q < 0.5) return std::log1p(-q);
-    const double c = d.theta_r_deg > 0 ? cos_i(d) * cos_r(d) + sin_i(d) * sin_r(d) * cos_deg(d.phi_deg)
-                                       : cos_deg(d.theta_r_deg - d.theta_i_deg) - 2 * lift(d);
-    return c > 0 ? std::log(c) : -1e30;
-}
-double tan2(const Direction& d) { return tangential_sum_squared(d) / sqr(cos_sum(d)); }
-double cd2(const Direction& d) { return sqr(cos_half_sum(d)) + lift(d); }
-double sd2(const Direction& d) { return sqr(sin_deg(half_sum(d))) - lift(d); }
-double hxy(const Direction& d) { return -sin_i(d) * sin_r(d) * cos_deg(d.phi_deg); }
+/// A column's value, rounded once.
+#define COLUMN(expression) [](const Angles& d) { return static_cast<double>(expression); }
 
 constexpr std::array kColumns{
-    GeometryColumn{"ci", "cos theta_i", cos_i},
-    GeometryColumn{"cr", "cos theta_r", cos_r},
-    GeometryColumn{"cs", "cos theta_i + cos theta_r", cos_sum},
-    GeometryColumn{"ti", "tan theta_i", [](const Direction& d) { return tan_abs_deg(d.theta_i_deg); }},
-    GeometryColumn{"tr", "tan |theta_r|", [](const Direction& d) { return tan_abs_deg(d.theta_r_deg); }},
+    GeometryColumn{"ci", "cos theta_i", COLUMN(d.cos_i)},
+    GeometryColumn{"cr", "cos theta_r", COLUMN(d.cos_r)},
+    GeometryColumn{"cs", "cos theta_i + cos theta_r", COLUMN(d.cos_i + d.cos_r)},
+    GeometryColumn{"ti", "tan theta_i", COLUMN(d.sin_i / d.cos_i)},
+    GeometryColumn{"tr", "tan |theta_r|", COLUMN(std::abs(d.sin_r) / d.cos_r)},
     GeometryColumn{"log_cos_alpha", "ln cos of the angle to the mirror direction; -1e30 beyond 90 degrees",
                    log_cos_alpha},
-    GeometryColumn{"w", "|u_xy + v_xy|^2", tangential_sum_squared},
-    GeometryColumn{"tan2", "tan^2 of the half vector's angle to the normal", tan2},
-    GeometryColumn{"cd2", "cos^2 theta_d, theta_d = angle of either direction to the half vector", cd2},
-    GeometryColumn{"sd2", "sin^2 theta_d", sd2},
-    GeometryColumn{"hxy", "u_x v_x + u_y v_y", hxy},
-    GeometryColumn{"hz", "u_z v_z", [](const Direction& d) { return cos_i(d) * cos_r(d); }},
+    GeometryColumn{"w", "|u_xy + v_xy|^2", COLUMN(tangential_sum_squared(d))},
+    GeometryColumn{"tan2", "tan^2 of the half vector's angle to the normal",
+                   COLUMN(tangential_sum_squared(d) / sqr(d.cos_i + d.cos_r))},
+    GeometryColumn{"cd2", "cos^2 theta_d, theta_d = angle of either direction to the half vector",
+                   COLUMN(sqr(d.cos_half_sum) + d.lift)},
+    GeometryColumn{"sd2", "sin^2 theta_d", COLUMN(sqr(d.sin_half_sum) - d.lift)},
+    GeometryColumn{"hxy", "u_x v_x + u_y v_y", COLUMN(-d.sin_i* d.sin_r* d.cos_phi)},
+    GeometryColumn{"hz", "u_z v_z", COLUMN(d.cos_i* d.cos_r)},
 };
+#undef COLUMN
 
 }  // namespace
 

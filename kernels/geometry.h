@@ -21,11 +21,22 @@ struct Direction {
 /// phi does not matter.
 Direction canonical(const Direction& direction);
 
+/// What the columns of one canonical direction are made of.
+struct Angles {
+    explicit Angles(const Direction& direction);
+
+    long double sin_i, sin_r, cos_i, cos_r, cos_phi;
+    long double lift;            ///< sin theta_i sin theta_r sin^2(phi/2): what leaving the plane of incidence adds
+    long double cos_difference;  ///< of theta_r - theta_i
+    long double sin_half_difference, sin_half_sum;  ///< of (theta_r -+ theta_i)/2
+    long double cos_half_sum;
+};
+
 /// One geometry column: a member of the kernels' struct Geometry.
 struct GeometryColumn {
     std::string_view name;
     std::string_view doc;
-    double (*value)(const Direction&);  ///< of a canonical direction, in double, without cancellation
+    double (*value)(const Angles&);  ///< rounded once, without cancellation
 };
 
 /// All columns, in the order of the struct's members.

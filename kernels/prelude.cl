@@ -49,14 +49,22 @@ inline scalar sum_lanes(real x) {
 #define PI 3.14159265358979323846
 
 #if REAL_IS_DOUBLE
-#define LOG_HUGE 300.0   /* values saturate at exp of this, so that their squares can be summed */
-#define EXP_MIN 745.0    /* exp(-x) is 0 beyond */
-#define TINY 1e-300      /* keeps a quotient finite where its numerator is 0 */
-#define LOG_EPSILON 37.5 /* ln(1/eps) to which series are summed */
-#define COLLINEAR 1e-13  /* unit columns closer than this, squared, count as one */
+#define LOG_HUGE 709.0                     /* a lobe saturates at exp of this instead of overflowing */
+#define HUGE_SLOPE 1e308                   /* ... and its slopes here */
+#define HUGE_SUMMED 1e130                  /* what is summed in squares saturates here */
+#define LOG_SHIFT 300.0
+#define EXP_MINUS_SHIFT 5.148200222412014e-131 /* exp(-LOG_SHIFT) */
+#define LOG_UNSEEN 800.0                   /* a series below exp(-this) is 0 whatever its prefactor */
+#define TINY 1e-300                        /* keeps a quotient finite where its numerator is 0 */
+#define LOG_EPSILON 37.5                   /* ln(1/eps) to which series are summed */
+#define COLLINEAR 1e-13                    /* unit columns closer than this, squared, count as one */
 #else
-#define LOG_HUGE 36.0
-#define EXP_MIN 104.0
+#define LOG_HUGE 88.0
+#define HUGE_SLOPE 3e38
+#define HUGE_SUMMED 1e15
+#define LOG_SHIFT 60.0
+#define EXP_MINUS_SHIFT 8.75651076269652e-27
+#define LOG_UNSEEN 150.0
 #define TINY 1e-37
 #define LOG_EPSILON 17.0
 #define COLLINEAR 1e-6

@@ -187,6 +187,16 @@ inline void store_sums(const Sums *sums, const scalar *c, global scalar *out) {
     for (int i = 0; i < PARAMETERS; ++i) out[1 + 2 * TERMS + i] = sum_lanes(sums->by_parameter[i]);
 }
 
+/* The model at a sample. What is summed in squares must not overflow there. */
+inline void evaluate(Params p, Geometry s, Terms *f) {
+    brdf(p, s, f);
+    real *value = (real *)f;
+    for (int i = 0; i < TERM_VALUES; ++i) {
+        value[i] = sel(value[i] > HUGE_SUMMED, HUGE_SUMMED, value[i]);
+        value[i] = sel(value[i] < -HUGE_SUMMED, -HUGE_SUMMED, value[i]);
+    }
+}
+
 inline void project_candidate(int gradient, int candidate, global const scalar *columns, global const scalar *y,
                               global const scalar *w, int samples, global const scalar *parameters,
                               global const scalar *lower, global const scalar *upper, global scalar *scratch,
@@ -200,7 +210,7 @@ inline void project_candidate(int gradient, int candidate, global const scalar *
     for (int i = 0; i < TERMS; ++i) b_sum[i] = 0.0;
     for (int first = 0; first < samples; first += LANES) {
         Terms f;
-        brdf(p, load_geometry(columns, samples, first), &f);
+        evaluate(p, load_geometry(columns, samples, first), &f);
         const real *term = (const real *)&f;
         const real weight = load_lanes(w + first);
         const real measured = load_lanes(y + first);
@@ -269,7 +279,7 @@ kernel void loss(global const scalar *columns, global const scalar *y, global co
         clear_sums(&sums);
         for (int first = 0; first < samples; first += LANES) {
             Terms f;
-            brdf(p, load_geometry(columns, samples, first), &f);
+            evaluate(p, load_geometry(columns, samples, first), &f);
             add_sample((const real *)&f, c, load_lanes(y + first), load_lanes(w + first), logarithmic, 1, &sums);
         }
         store_sums(&sums, c, out + i * OUT_STRIDE);

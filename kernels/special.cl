@@ -2,6 +2,23 @@
 
 inline real sqr(real x) { return x * x; }
 
+/* x, short of overflow. */
+inline real saturated(real x) { return fmin(fmax(x, (real)-HUGE_SLOPE), (real)HUGE_SLOPE); }
+
+/* exp(x) as mantissa times factor, for x <= LOG_HUGE: the factor, 1 or tiny, holds off underflow until a large prefactor
+ * has been multiplied in. */
+typedef struct {
+    real mantissa, factor;
+} Exponential;
+
+inline Exponential exponential(real x) {
+    Exponential t;
+    const mask deep = x < -LOG_SHIFT;
+    t.mantissa = exp(sel(deep, x + LOG_SHIFT, x));
+    t.factor = sel(deep, EXP_MINUS_SHIFT, 1.0);
+    return t;
+}
+
 /* Complex numbers, for Fresnel's equations. */
 typedef struct {
     real re, im;
@@ -18,10 +35,9 @@ inline complex_real complex_times(complex_real a, complex_real b) {
     return complex_of(a.re * b.re - a.im * b.im, a.re * b.im + a.im * b.re);
 }
 
-inline complex_real complex_over(complex_real a, complex_real b) {
-    const real norm = sqr(b.re) + sqr(b.im);
-    return complex_of((a.re * b.re + a.im * b.im) / norm, (a.im * b.re - a.re * b.im) / norm);
-}
+inline complex_real complex_conjugate(complex_real a) { return complex_of(a.re, -a.im); }
+
+inline complex_real complex_scaled(complex_real a, real factor) { return complex_of(a.re * factor, a.im * factor); }
 
 /* exp(x^2) erfc(x) for x >= 0: a Chebyshev polynomial of degree 24 for (1 + 2x) erfcx(x) - 1 in q = (x-3)/(x+3),
  * approximation error 1.4e-17. The value lies in [1, 1.27], so rounding stays at a few eps.

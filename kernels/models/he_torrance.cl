@@ -3,15 +3,15 @@
   "source": "He, Torrance, Sillion, Greenberg 1991, corrected as in docs/numerics.md; without the ideal specular spike",
   "formula": "f = rho_ud/pi + F(theta_d) G S(theta_i) S(theta_r) D / (pi cos theta_i cos theta_r)",
   "parameters": [
-    {"name": "sigma", "unit": "wavelength", "min": 1e-3, "max": 20, "domain": [1e-6, null], "typical": [0.02, 4],
+    {"name": "sigma", "unit": "wavelength", "min": 1e-3, "max": 20, "domain": [0, 1e5], "typical": [0.02, 4],
      "scale": "log", "doc": "rms height of the surface"},
-    {"name": "tau", "unit": "wavelength", "min": 0.1, "max": 200, "domain": [1e-9, null], "typical": [0.5, 60],
+    {"name": "tau", "unit": "wavelength", "min": 0.1, "max": 200, "domain": [0, 1e6], "typical": [0.5, 60],
      "scale": "log", "doc": "autocorrelation length of the surface"},
-    {"name": "n", "unit": "1", "min": 0.05, "max": 20, "domain": [1e-6, null], "scale": "log",
+    {"name": "n", "unit": "1", "min": 0.05, "max": 20, "domain": [1e-6, 1e6], "scale": "log",
      "doc": "real part of the refractive index"},
-    {"name": "k", "unit": "1", "min": 0, "max": 20, "domain": [0, null], "scale": "linear",
+    {"name": "k", "unit": "1", "min": 0, "max": 20, "domain": [0, 1e6], "scale": "linear",
      "doc": "imaginary part of the refractive index"},
-    {"name": "rho_ud", "unit": "1", "min": 0, "max": 1, "domain": [0, null], "scale": "linear",
+    {"name": "rho_ud", "unit": "1", "min": 0, "max": 1, "domain": [0, 1e30], "scale": "linear",
      "doc": "albedo of the uniform diffuse part"}
   ],
   "terms": [
@@ -51,49 +51,46 @@ typedef struct {
 inline Fresnel fresnel(real n, real k, real cd2, real sd2) {
     Fresnel t;
     const real c = sqrt(cd2);
-    const real A = n * n - k * k - sd2;
-    const real nk = n * k;
-    const real B = sqrt(sqr(A) + 4.0 * sqr(nk));
-    /* q = sqrt((n + ik)^2 - sin^2 theta_d) = a + ib: the larger of a^2, b^2 by its formula, the other by a b = n k. */
-    const real large = fmax(0.5 * (B + fabs(A)), (real)TINY);
-    const real small = sqr(nk) / large;
-    const real a2 = sel(A >= 0.0, large, small);
-    const real b2 = sel(A >= 0.0, small, large);
-    const real a = sqrt(a2);
-    const real b = sqrt(b2);
+    const complex_real N = complex_of(n, k);
+    const complex_real N2 = complex_of((n - k) * (n + k), 2.0 * n * k);
+    const complex_real N2_1 = complex_of((n - 1.0) * (n + 1.0) - sqr(k), N2.im); /* N^2 - 1, exact near 1 */
 
-    const real difference = ((n - 1.0) * (n + 1.0) - k * k + b2) / (a + c); /* a - c, exact near n = 1 */
-    const real sum2 = sqr(a + c) + b2;
-    const real Rs = (sqr(difference) + b2) / sum2;
+    /* q = sqrt(N^2 - sin^2 theta_d) = a + ib: the larger of a^2, b^2 by its formula, the other by a b = n k. */
+    const real A = sel(sd2 < 0.5, n * n - sd2 - sqr(k), N2_1.re + cd2); /* the form that cancels less */
+    const mask refracts = A >= 0.0;
+    const real large = fmax(0.5 * (sqrt(sqr(A) + sqr(N2.im)) + fabs(A)), (real)TINY);
+    const real small = sqr(n * k) / large;
+    const real a = sqrt(sel(refracts, large, small));
+    const real b2 = sel(refracts, small, large);
+    const complex_real q = complex_of(a, sqrt(b2));
+
+    const real difference = sel(refracts, (N2_1.re + b2) / (a + c), a - c); /* a - c, exact near N = 1 */
+    const real s_norm = sqr(a + c) + b2;
+    const real Rs = (sqr(difference) + b2) / s_norm;
     const real p_over_s = (sqr(a * c - sd2) + b2 * cd2) / (sqr(a * c + sd2) + b2 * cd2);
     t.F = 0.5 * Rs * (1.0 + p_over_s);
 
-    /* r_s = (c - q)/(c + q), r_p = -r_s (q c - s^2)/(q c + s^2); dF/dN = conj(r_s) r_s' + conj(r_p) r_p'. */
-    const complex_real N = complex_of(n, k);
-    const complex_real q = complex_of(a, b);
-    const complex_real N2 = complex_of((n - k) * (n + k), 2.0 * nk);
-    const complex_real c_q = complex_of(c + a, b);
-    const complex_real r_s = complex_over(complex_of(-difference, -b), c_q);
-    const complex_real ratio = complex_over(complex_of(a * c - sd2, b * c), complex_of(a * c + sd2, b * c));
-    const complex_real minus_r_p = complex_times(r_s, ratio);
-    /* r_s' = -2 c N/(q (c+q)^2), r_p' = 2 c N (N^2 - 2 s^2)/(q (N^2 c + q)^2) */
-    const complex_real N_q = complex_over(N, q);
-    const complex_real s_slope = complex_over(complex_over(N_q, c_q), c_q);
-    const complex_real p_base = complex_of(N2.re * c + a, N2.im * c + b);
-    const complex_real p_slope = complex_times(complex_of(N2.re - 2.0 * sd2, N2.im),
-                                               complex_over(complex_over(N_q, p_base), p_base));
-    /* Z = -2c (conj(r_s) s_slope + conj(-r_p) p_slope); dF/dn = Re Z, dF/dk = -Im Z */
-    const real re = r_s.re * s_slope.re + r_s.im * s_slope.im + minus_r_p.re * p_slope.re + minus_r_p.im * p_slope.im;
-    const real im = r_s.re * s_slope.im - r_s.im * s_slope.re + minus_r_p.re * p_slope.im - minus_r_p.im * p_slope.re;
-    t.F_n = -2.0 * c * re;
-    t.F_k = 2.0 * c * im;
+    /* dF/dN = conj(r_s) r_s' + conj(r_p) r_p'; as c^2 - q^2 = 1 - N^2 and N^4 c^2 - q^2 = (N^2 - 1)(N^2 c^2 - s^2) it is
+     * 2c N conj(q) conj(N^2 - 1)/|q|^2 [1/|q + c|^4 + (N^2 - 2 s^2) conj(N^2 c^2 - s^2)/|N^2 c + q|^4],
+     * without a difference of nearly equal terms. dF/dn is its real part, dF/dk minus its imaginary part. */
+    const real q_norm = large + small;
+    const real p_norm = sqr(N2.re * c + q.re) + sqr(N2.im * c + q.im);
+    const complex_real p_part =
+        complex_times(complex_scaled(complex_of(N2.re - 2.0 * sd2, N2.im), 1.0 / p_norm),
+                      complex_scaled(complex_of(N2.re * cd2 - sd2, -N2.im * cd2), 1.0 / p_norm));
+    const complex_real both = complex_of(1.0 / sqr(s_norm) + p_part.re, p_part.im);
+    const complex_real N_q = complex_scaled(complex_times(N, complex_conjugate(q)), 2.0 * c / q_norm);
+    const complex_real slope = complex_times(complex_times(N_q, complex_conjugate(N2_1)), both);
+    t.F_n = slope.re;
+    t.F_k = -slope.im;
     return t;
 }
 
-/* Sums over m >= 1 of the Poisson weights t_m = e^-g g^m/m! e^(-a/m):
+/* Sums over m >= 1 of the Poisson weights t_m = e^-g g^m/m! e^(-a/m), each to be multiplied by height twice, so that
+ * neither the sums nor the height leave the range of numbers before their product does:
  * M1 = sum t_m/m, M2 = sum t_m/m^2 = -dM1/da, Q = sum t_m (m - g)/m = g dM1/dg. */
 typedef struct {
-    real M1, M2, Q;
+    real M1, M2, Q, height;
 } Series;
 
 inline Series poisson_series(real g, real a) {
@@ -101,6 +98,7 @@ inline Series poisson_series(real g, real a) {
     t.M1 = 0.0;
     t.M2 = 0.0;
     t.Q = 0.0;
+    t.height = 0.0;
 
     /* Mode: ln(m/g) = a/m^2. The function is concave and rising: Newton's steps converge from the left. */
     const real m_upper = 0.5 * (g + sqrt(sqr(g) + 4.0 * a));
@@ -113,7 +111,7 @@ inline Series poisson_series(real g, real a) {
     const real width = sqrt(mode / (1.0 + 2.0 * (a / mode / mode)));
     mode = fmax(mode, (real)1.0);
     const real peak = poisson_deviance(mode, g) + a / mode;
-    const mask seen = peak < EXP_MIN; /* else every term underflows */
+    const mask seen = peak < LOG_UNSEEN;
     if (!any_lane(seen)) return t;
 
     /* The window that holds all but eps of the sum, log_epsilon = ln(1/eps); its upper end is a Bernstein bound. Beyond
@@ -122,41 +120,55 @@ inline Series poisson_series(real g, real a) {
     const real negligible = 0.03 * exp(-L);
     const real low = mode - sqrt(2.0 * L * mode) - 1.0;
     const real high = mode + L / 3.0 + sqrt(sqr(L) / 9.0 + 2.0 * L * mode);
-
-    /* A window from m = 1: the terms by their recurrence, the same m in every lane, four between looks at the end. */
     const mask direct = seen & (low < 2.0);
+    const mask bell = seen & (low >= 2.0);
+
+    /* A window from m = 1: the weights e^-g g^m/m! by their recurrence, with a low part that keeps its rounding from
+     * adding up; Q, where sqrt(g) digits cancel, would show it. The same m in every lane, four between looks at the end.
+     * Weight and exponential each take a share of the height. */
     if (any_lane(direct)) {
-        real weight = sel(direct, g * exp(-g), 0.0);
-        const real minus_a = -a;
+        const real weight_shift = fmin(peak, (real)LOG_SHIFT);
+        const real shift = fmin(peak - weight_shift, (real)LOG_SHIFT);
+        real weight = sel(direct, g * exp(-g) * exp(weight_shift), 0.0);
+        real weight_low = 0.0;
         scalar m = 1.0;
         mask active = direct;
         while (any_lane(active)) {
-            real term = 0.0;
+            real M1 = 0.0, M2 = 0.0, Q = 0.0, term = 0.0;
             for (int i = 0; i < 4; ++i) {
                 const scalar inverse = (scalar)1.0 / m;
-                term = weight * exp(minus_a * inverse) * inverse;
-                t.M1 += term;
-                t.M2 += term * inverse;
-                t.Q += term * (m - g);
+                term = (weight + weight_low) * exp(shift - a * inverse) * inverse;
+                M1 += term;
+                M2 += term * inverse;
+                Q += term * (m - g);
                 m += (scalar)1.0;
-                weight *= g * ((scalar)1.0 / m);
+                const real step = g / m;
+                const real step_low = fma(-step, (real)m, g) / m;
+                const real next = weight * step;
+                weight_low = fma(weight, step, -next) + (weight * step_low + weight_low * step);
+                weight = next;
             }
+            t.M1 += M1;
+            t.M2 += M2;
+            t.Q += Q;
             active = direct & (m <= high) & ((m <= mode) | (term > negligible * t.M1));
         }
+        t.height = exp(-0.5 * (weight_shift + shift));
     }
 
     /* A smooth bell: every stride-th term times the stride (Poisson summation), each in its saddle-point form. For Q,
      * sum t_m (m - g)/m cancels; as the integral of dt/dm vanishes over the bell, the logarithmic derivative of t_m
      * may be taken off and leaves terms of the order of the sum. Where the bell is narrow (g << m) nothing cancels. */
-    const mask bell = seen & (low >= 2.0);
     if (any_lane(bell)) {
         Series b;
         b.M1 = 0.0;
         b.M2 = 0.0;
         b.Q = 0.0;
-        const real stride = fmax(floor(width * (4.0 / sqrt(L))), (real)1.0);
+        /* Steps on a grid where m is exact, should the numbers near high be wider apart than 1. */
+        const real grid = 2.0 * high;
+        const real stride = fmax((floor(width * (4.0 / sqrt(L))) + grid) - grid, (real)1.0);
         const mask smooth = width > 2.0;
-        real m = sel(bell, floor(low), 1.0);
+        real m = sel(bell, fmax((floor(low) + grid) - grid, (real)1.0), 1.0);
         mask active = bell;
         while (any_lane(active)) {
             const real inverse = 1.0 / m;
@@ -174,18 +186,23 @@ inline Series poisson_series(real g, real a) {
             active = active & (m <= high) & ((m <= mode) | (term > negligible * b.M1));
             m += stride;
         }
-        const real height = exp(-peak); /* apart, so that no term is denormal: those are slow */
-        t.M1 += height * b.M1;
-        t.M2 += height * b.M2;
-        t.Q += height * b.Q;
+        t.M1 = sel(bell, b.M1, t.M1);
+        t.M2 = sel(bell, b.M2, t.M2);
+        t.Q = sel(bell, b.Q, t.Q);
+        t.height = sel(bell, exp(-0.5 * peak), t.height);
     }
     return t;
 }
 
+/* x height^2, in this order (see Series); saturates. */
+inline real raised(real x, Series M) { return saturated(x) * M.height * M.height; }
+
 void brdf(Params p, Geometry s, Terms *f) {
     f->diffuse.value = 1.0 / PI;
 
-    const real slope = p.tau / p.sigma;
+    const real sigma = fmax(p.sigma, (real)1e-18); /* 0 is a smooth surface: no lobe, and no division by 0 */
+    const real tau = fmax(p.tau, (real)1e-18);
+    const real slope = tau / sigma;
     const Shadow in = shadow(s.ti, slope);
     const Shadow out = shadow(s.tr, slope);
 
@@ -195,17 +212,17 @@ void brdf(Params p, Geometry s, Terms *f) {
     const real W = lambert_w(sqr(c), 2.0 * log(c));
     const real l = -2.0 * W / sqr(1.0 + W) * ((in.K_slope + out.K_slope) / fmax(K, (real)TINY)); /* d ln sigma_e^2/d ln h */
 
-    const real g = fmax(sqr(2.0 * PI * p.sigma * s.cs) / (1.0 + W), (real)1e-30); /* keeps m/g finite */
-    const real T = sqr(PI * p.tau);
-    const Series M = poisson_series(g, T * s.w);
+    const real g = fmax(sqr(2.0 * PI * sigma * s.cs) / (1.0 + W), (real)TINY); /* keeps m/g finite */
+    const real T = sqr(PI * tau);
+    const real a = T * s.w;
+    const Series M = poisson_series(g, a);
     const Fresnel F = fresnel(p.n, p.k, s.cd2, s.sd2);
 
-    const real G = sqr(4.0 * s.cd2 / s.cs);
-    const real base = G * (in.S / s.ci) * (out.S / s.cr) * (T / (4.0 * PI));
+    const real base = fmin(sqr(4.0 * s.cd2 / s.cs) * (in.S / s.ci) * (out.S / s.cr) * (T / (4.0 * PI)), (real)HUGE_SLOPE);
     const real shadows = M.M1 * (in.S_slope + out.S_slope);
-    f->lobe.value = base * F.F * M.M1;
-    f->lobe.sigma = base * F.F * (M.Q * (2.0 - l) - shadows) / p.sigma;
-    f->lobe.tau = base * F.F * (2.0 * M.M1 - 2.0 * T * s.w * M.M2 + M.Q * l + shadows) / p.tau;
-    f->lobe.n = base * M.M1 * F.F_n;
-    f->lobe.k = base * M.M1 * F.F_k;
+    f->lobe.value = raised(base * F.F * M.M1, M);
+    f->lobe.sigma = raised(base * F.F * ((M.Q * (2.0 - l) - shadows) / sigma), M);
+    f->lobe.tau = raised(base * F.F * ((2.0 * M.M1 - 2.0 * a * M.M2 + M.Q * l + shadows) / tau), M);
+    f->lobe.n = raised(base * M.M1 * F.F_n, M);
+    f->lobe.k = raised(base * M.M1 * F.F_k, M);
 }

@@ -3,15 +3,16 @@
   "source": "Lafortune, Foo, Torrance, Greenberg 1997, in the form of Westin, Li, Torrance 2004",
   "formula": "f = k_d/pi + sum_j max(0, c_xy_j (u_x v_x + u_y v_y) + c_z_j u_z v_z)^n_j",
   "parameters": [
-    {"name": "k_d", "unit": "1", "min": 0, "max": 1, "domain": [0, null], "scale": "linear", "doc": "diffuse albedo"}
+    {"name": "k_d", "unit": "1", "min": 0, "max": 1, "domain": [0, 1e30], "scale": "linear", "doc": "diffuse albedo"}
   ],
   "repeated": {
     "name": "lobe", "option": "lobes", "min": 1, "max": 3, "auto_max": 2, "order_by": "n",
     "parameters": [
-      {"name": "c_xy", "unit": "1", "min": -3, "max": 3, "scale": "linear",
+      {"name": "c_xy", "unit": "1", "min": -3, "max": 3, "domain": [-1e30, 1e30], "scale": "linear",
        "doc": "coefficient of the tangential product; negative for a forward lobe, positive for a retro-reflective one"},
-      {"name": "c_z", "unit": "1", "min": -3, "max": 3, "scale": "linear", "doc": "coefficient of the normal product"},
-      {"name": "n", "unit": "1", "min": 0.01, "max": 1e4, "domain": [0, null], "typical": [0.03, 3e3], "scale": "log",
+      {"name": "c_z", "unit": "1", "min": -3, "max": 3, "domain": [-1e30, 1e30], "scale": "linear",
+       "doc": "coefficient of the normal product"},
+      {"name": "n", "unit": "1", "min": 0.01, "max": 1e4, "domain": [0, 1e12], "typical": [0.03, 3e3], "scale": "log",
        "doc": "exponent of the lobe"}
     ]
   },
@@ -27,13 +28,14 @@ void brdf(Params p, Geometry s, Terms *f) {
     for (int j = 0; j < LOBES; ++j) {
         const real b = p.lobe[j].c_xy * s.hxy + p.lobe[j].c_z * s.hz;
         const mask lit = b > 0.0;
-        const real base = sel(lit, b, 1.0);
+        const real base = sel(lit, fmax(b, (real)TINY), 1.0);
         const real l = log(base);
-        const real v = sel(lit, exp(fmin(p.lobe[j].n * l, (real)LOG_HUGE)), 0.0); /* saturates instead of overflowing */
-        const real slope = p.lobe[j].n * (v / base);
-        f->lobe[j].value = v;
-        f->lobe[j].c_xy = slope * s.hxy;
-        f->lobe[j].c_z = slope * s.hz;
-        f->lobe[j].n = v * l;
+        const Exponential v = exponential(fmin(p.lobe[j].n * l, (real)LOG_HUGE)); /* saturates */
+        const real value = sel(lit, v.mantissa, 0.0);
+        const real slope = fmin(p.lobe[j].n / base, (real)HUGE_SLOPE);
+        f->lobe[j].value = value * v.factor;
+        f->lobe[j].c_xy = saturated(value * (slope * s.hxy)) * v.factor;
+        f->lobe[j].c_z = saturated(value * (slope * s.hz)) * v.factor;
+        f->lobe[j].n = saturated(value * l) * v.factor;
     }
 }

@@ -3,7 +3,7 @@
   "source": "Lambert, Photometria, 1760",
   "formula": "f = k_d/pi",
   "parameters": [
-    {"name": "k_d", "unit": "1", "min": 0, "max": 1, "domain": [0, null], "scale": "linear", "doc": "diffuse albedo"}
+    {"name": "k_d", "unit": "1", "min": 0, "max": 1, "domain": [0, 1e30], "scale": "linear", "doc": "diffuse albedo"}
   ],
   "terms": [
     {"name": "diffuse", "factor": "k_d"}

@@ -32,7 +32,7 @@ std::span<const HostKernel> host_kernels_single();
 }  // namespace brdfit::tests
 
 #ifdef BRDFIT_HOST_KERNEL  // the generated sources only
-using std::exp, std::floor, std::fmax, std::fmin, std::log, std::sqrt;
+using std::exp, std::floor, std::fma, std::fmax, std::fmin, std::log, std::sqrt;
 #define kernel
 #define global
 #define constant static const

@@ -316,7 +316,7 @@ const HostKernel& host_kernel(const Model& model, Precision precision) {
 std::vector<double> columns_of(const std::vector<Direction>& directions) {
     std::vector<double> columns;
     for (const kernels::GeometryColumn& c : kernels::geometry_columns())
-        for (const Direction& direction : directions) columns.push_back(c.value(canonical(direction)));
+        for (const Direction& direction : directions) columns.push_back(c.value(kernels::Angles(canonical(direction))));
     return columns;
 }
 
