@@ -87,7 +87,8 @@ std::vector<double> draw_ward(Random& random, const Direction& direction, double
     return {random.uniform(0, 1), draw_weight(random), alpha};
 }
 
-std::vector<double> draw_lafortune(Random& random, const Direction& direction, double exponent, std::size_t lobes) {
+std::vector<double> draw_lafortune(Random& random, const Direction& direction, const Range& range, std::size_t lobes) {
+    const double exponent = range.exponent;
     const Angles angles(direction);
     std::vector<double> p{random.uniform(0, 1)};
     for (std::size_t lobe = 0; lobe < lobes; ++lobe) {
@@ -96,11 +97,14 @@ std::vector<double> draw_lafortune(Random& random, const Direction& direction, d
         if (random.chance(0.1)) c_xy = sign(random);
         if (random.chance(0.1)) c_z = sign(random);
         if (random.chance(0.05)) c_xy = 0;
-        const double n = random.chance(0.1) ? static_cast<int>(random.uniform(0, 4)) : log_uniform(random, 1e-2, 1e6);
+        double n = random.chance(0.1) ? static_cast<int>(random.uniform(0, 4)) : log_uniform(random, 1e-2, 1e6);
         if (random.chance(0.1) && angles.hz > 0)
             c_z = -c_xy * angles.hxy / angles.hz * (1 + log_uniform(random, 1e-6, 1));
         // Bring b^n between underflow and overflow.
         const double b = c_xy * angles.hxy + c_z * angles.hz;
+        // Where the precision's rounding of the coefficients leaves no digit there is nothing to measure.
+        const double amplified = (std::abs(c_xy * angles.hxy) + std::abs(c_z * angles.hz)) / std::abs(b);
+        n = std::min(n, 0.005 / static_cast<double>(range.eps) / amplified);
         const double power = random.chance(0.5) ? random.uniform(-exponent, exponent)
                                                 : log_uniform(random, 1e-6, exponent) * sign(random);
         const double factor = std::exp(power / n) / b;
@@ -160,7 +164,7 @@ Point draw_point(Random& random, const Model& model, const Range& range, std::si
     d = draw_direction(random, index);
     if (model.name == "phong") point.parameters = draw_phong(random, d, exponent);
     else if (model.name == "ward") point.parameters = draw_ward(random, d, exponent);
-    else if (model.name == "lafortune") point.parameters = draw_lafortune(random, d, exponent, model.repeats);
+    else if (model.name == "lafortune") point.parameters = draw_lafortune(random, d, range, model.repeats);
     else if (model.name == "he_torrance")
         point.parameters = draw_he_torrance(random, d, index % 20 != 0, static_cast<double>(range.eps));
     else point.parameters = random.parameters(model);

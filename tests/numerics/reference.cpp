@@ -240,16 +240,20 @@ T heightOffset(const T& sigma_0, const T& k_sum) {
     const T amplitude = sigma_0 / 4 * k_sum;
     T low = 0;
     T high = amplitude / slope;
+    if (k_sum < epsilon<T>()) {
+        return high;  // the exponential is 1 in every digit
+    }
     T z = high;
+    T change = 2 * high;  // of the last step; one that is not half of it is not yet Newton's convergence
     for (int iteration = 0; iteration < 1000; ++iteration) {
         const T right = amplitude * exp(-square(T(z / sigma_0)) / 2);
         const T residual = slope * z - right;
         (residual > 0 ? high : low) = z;
         T next = z - residual / (slope + right * z / square(sigma_0));
-        if (!(next > low && next < high)) {
+        if (!(next > low && next < high && abs(next - z) < change / 2)) {
             next = (low + high) / 2;
         }
-        const T change = abs(next - z);
+        change = abs(next - z);
         z = next;
         if (change <= 50 * epsilon<T>() * z) {
             return z;
