@@ -70,6 +70,8 @@ constexpr std::array kColumns{
     GeometryColumn{"cd2", "cos^2 theta_d, theta_d = angle of either direction to the half vector",
                    COLUMN(sqr(d.cos_half_sum) + d.lift)},
     GeometryColumn{"sd2", "sin^2 theta_d", COLUMN(sqr(d.sin_half_sum) - d.lift)},
+    GeometryColumn{"G", "(4 cos^2 theta_d/(cos theta_i + cos theta_r))^2, He and Torrance's geometric factor",
+                   COLUMN(sqr(4 * (sqr(d.cos_half_sum) + d.lift) / (d.cos_i + d.cos_r)))},
     GeometryColumn{"hxy", "u_x v_x + u_y v_y", COLUMN(-d.sin_i* d.sin_r* d.cos_phi)},
     GeometryColumn{"hz", "u_z v_z", COLUMN(d.cos_i* d.cos_r)},
 };

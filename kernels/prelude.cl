@@ -47,6 +47,7 @@ inline scalar sum_lanes(real x) {
 #endif
 
 #define PI 3.14159265358979323846
+#define PI_SQUARED 9.86960440108935861883 /* + PI_SQUARED_LOW once rounded */
 
 #if REAL_IS_DOUBLE
 #define LOG_HUGE 709.0                     /* a lobe saturates at exp of this instead of overflowing */
@@ -57,6 +58,7 @@ inline scalar sum_lanes(real x) {
 #define LOG_UNSEEN 800.0                   /* a series below exp(-this) is 0 whatever its prefactor */
 #define TINY 1e-300                        /* keeps a quotient finite where its numerator is 0 */
 #define LOG_EPSILON 37.5                   /* ln(1/eps) to which series are summed */
+#define PI_SQUARED_LOW 6.265295508739711e-16
 #define COLLINEAR 1e-13                    /* unit columns closer than this, squared, count as one */
 #else
 #define LOG_HUGE 88.0
@@ -68,4 +70,5 @@ inline scalar sum_lanes(real x) {
 #define TINY 1e-37
 #define LOG_EPSILON 17.0
 #define COLLINEAR 1e-6
+#define PI_SQUARED_LOW 2.903715851813345e-07
 #endif

@@ -56,7 +56,7 @@ inline Fresnel fresnel(real n, real k, real cd2, real sd2) {
     const complex_real N2_1 = complex_of((n - 1.0) * (n + 1.0) - sqr(k), N2.im); /* N^2 - 1, exact near 1 */
 
     /* q = sqrt(N^2 - sin^2 theta_d) = a + ib: the larger of a^2, b^2 by its formula, the other by a b = n k. */
-    const real A = sel(sd2 < 0.5, n * n - sd2 - sqr(k), N2_1.re + cd2); /* the form that cancels less */
+    const real A = sel(sd2 < 0.5, fma(n, n, -sd2) - sqr(k), N2_1.re + cd2); /* the form that cancels less */
     const mask refracts = A >= 0.0;
     const real large = fmax(0.5 * (sqrt(sqr(A) + sqr(N2.im)) + fabs(A)), (real)TINY);
     const real small = sqr(n * k) / large;
@@ -194,6 +194,27 @@ inline Series poisson_series(real g, real a) {
     return t;
 }
 
+/* A number to twice the precision, high + low. The slope by tau is a difference of large terms in g and a, which are
+ * therefore rounded once only. */
+typedef struct {
+    real high, low;
+} Wide;
+
+inline Wide product_of(real x, real y) {
+    Wide t;
+    t.high = x * y;
+    t.low = fma(x, y, -t.high);
+    return t;
+}
+
+/* (pi x)^2 */
+inline Wide pi_times_squared(Wide x) {
+    const Wide square = product_of(x.high, x.high);
+    Wide t = product_of(square.high, (real)PI_SQUARED);
+    t.low += square.high * PI_SQUARED_LOW + (square.low + 2.0 * x.high * x.low) * PI_SQUARED;
+    return t;
+}
+
 /* x height^2, in this order (see Series); saturates. */
 inline real raised(real x, Series M) { return saturated(x) * M.height * M.height; }
 
@@ -212,13 +233,14 @@ void brdf(Params p, Geometry s, Terms *f) {
     const real W = lambert_w(sqr(c), 2.0 * log(c));
     const real l = -2.0 * W / sqr(1.0 + W) * ((in.K_slope + out.K_slope) / fmax(K, (real)TINY)); /* d ln sigma_e^2/d ln h */
 
-    const real g = fmax(sqr(2.0 * PI * sigma * s.cs) / (1.0 + W), (real)TINY); /* keeps m/g finite */
-    const real T = sqr(PI * tau);
-    const real a = T * s.w;
+    const Wide height2 = pi_times_squared(product_of(sigma, s.cs));
+    const real g = fmax(4.0 * (height2.high + height2.low) / (1.0 + W), (real)TINY); /* keeps m/g finite */
+    const Wide T = pi_times_squared(product_of(tau, (real)1.0));
+    const real a = fma(T.high, s.w, T.low * s.w);
     const Series M = poisson_series(g, a);
     const Fresnel F = fresnel(p.n, p.k, s.cd2, s.sd2);
 
-    const real base = fmin(sqr(4.0 * s.cd2 / s.cs) * (in.S / s.ci) * (out.S / s.cr) * (T / (4.0 * PI)), (real)HUGE_SLOPE);
+    const real base = fmin(s.G * (in.S / s.ci) * (out.S / s.cr) * (sqr(tau) * (PI / 4.0)), (real)HUGE_SLOPE);
     const real shadows = M.M1 * (in.S_slope + out.S_slope);
     f->lobe.value = raised(base * F.F * M.M1, M);
     f->lobe.sigma = raised(base * F.F * ((M.Q * (2.0 - l) - shadows) / sigma), M);
