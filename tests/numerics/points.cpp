@@ -101,10 +101,15 @@ std::vector<double> draw_lafortune(Random& random, const Direction& direction, c
         if (random.chance(0.1) && angles.hz > 0)
             c_z = -c_xy * angles.hxy / angles.hz * (1 + log_uniform(random, 1e-6, 1));
         // Bring b^n between underflow and overflow.
-        const double b = c_xy * angles.hxy + c_z * angles.hz;
         // Where the precision's rounding of the coefficients leaves no digit there is nothing to measure.
-        const double amplified = (std::abs(c_xy * angles.hxy) + std::abs(c_z * angles.hz)) / std::abs(b);
-        n = std::min(n, 0.005 / static_cast<double>(range.eps) / amplified);
+        const auto base = [&] { return c_xy * angles.hxy + c_z * angles.hz; };
+        const auto amplified = [&] {
+            return (std::abs(c_xy * angles.hxy) + std::abs(c_z * angles.hz)) / std::abs(base());
+        };
+        const double most = 0.005 / static_cast<double>(range.eps);
+        if (amplified() > most) c_z = -c_z;
+        n = std::min(n, most / amplified());
+        const double b = base();
         const double power = random.chance(0.5) ? random.uniform(-exponent, exponent)
                                                 : log_uniform(random, 1e-6, exponent) * sign(random);
         const double factor = std::exp(power / n) / b;
