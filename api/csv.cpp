@@ -7,8 +7,6 @@
 #include <map>
 #include <vector>
 
-#include <boost/tokenizer.hpp>  // quoted fields
-
 #include "api/problem.h"
 #include "api/samples.h"
 
@@ -39,6 +37,7 @@ public:
     void add(std::size_t line, std::size_t field, std::string code, std::string detail) {
         if (errors_.size() < kMostErrors) errors_.push_back({"", std::move(code), std::move(detail), line, field});
     }
+    [[nodiscard]] bool empty() const { return errors_.empty(); }
     void throw_if_any() const {
         if (!errors_.empty())
             throw Refusal({422, "invalid-request",
@@ -56,22 +55,44 @@ std::string trimmed(std::string_view text) {
     return std::string(text.substr(first, text.find_last_not_of(" \t") - first + 1));
 }
 
+/// The fields of a line, as RFC 4180 writes them: a quoted one may hold commas, and quotes that are doubled; blanks
+/// count within quotes only. Empty after an error.
 std::vector<std::string> fields_of(std::string_view line, std::size_t number, Errors& errors) {
-    if (std::count(line.begin(), line.end(), '"') % 2 != 0) {
-        errors.add(number, 1, "syntax", "a quoted field that does not end");
-        return {};
-    }
-    const std::string text(line);
-    const std::string no_escapes;
-    const boost::tokenizer<boost::escaped_list_separator<char>> tokens(
-        text, boost::escaped_list_separator<char>(no_escapes, ",", "\""));
+    constexpr std::string_view kBlanks = " \t";
     std::vector<std::string> fields;
-    for (const std::string& token : tokens) fields.push_back(trimmed(token));
-    return fields;
+    for (std::size_t at = 0;; ++at) {  // at the first byte of a field
+        const auto refuse = [&](const char* reason) {
+            errors.add(number, fields.size() + 1, "syntax", reason);
+            return std::vector<std::string>{};
+        };
+        const auto first = line.find_first_not_of(kBlanks, at);
+        if (first == std::string_view::npos || line[first] != '"') {
+            const std::string_view field = line.substr(at, line.find(',', at) - at);
+            if (field.find('"') != std::string_view::npos) return refuse("a quote within a field that is not quoted");
+            fields.push_back(trimmed(field));
+            at += field.size();
+        } else {
+            std::string field;
+            for (at = first + 1;; ++at) {
+                const auto quote = line.find('"', at);
+                if (quote == std::string_view::npos) return refuse("a quoted field that does not end");
+                field += line.substr(at, quote - at);
+                at = quote + 1;
+                if (at == line.size() || line[at] != '"') break;
+                field += '"';
+            }
+            at = std::min(line.find_first_not_of(kBlanks, at), line.size());
+            if (at < line.size() && line[at] != ',') return refuse("text behind a quoted field");
+            fields.push_back(std::move(field));
+        }
+        if (at == line.size()) return fields;
+    }
 }
 
 /// A finite number that fills the field, independent of the locale.
-std::optional<double> number_of(const std::string& text) {
+std::optional<double> number_of(const std::string& field) {
+    const std::string text = trimmed(field);
+    if (text.starts_with("+-")) return std::nullopt;
     const char* begin = text.data() + (text.starts_with('+') ? 1 : 0);
     double value = 0;
     const auto [end, error] = std::from_chars(begin, text.data() + text.size(), value);
@@ -95,7 +116,8 @@ Header read_header(const std::vector<std::string>& names, std::size_t line, Erro
     std::string valid;
     for (const ColumnRule& rule : kRules) valid += (valid.empty() ? "" : ", ") + std::string(rule.name);
     for (std::size_t i = 0; i < names.size(); ++i) {
-        const auto rule = std::find_if(kRules.begin(), kRules.end(), [&](const auto& r) { return r.name == names[i]; });
+        const auto rule =
+            std::find_if(kRules.begin(), kRules.end(), [&](const auto& r) { return r.name == trimmed(names[i]); });
         if (rule == kRules.end()) {
             errors.add(line, i + 1, "unknown_key", "unknown column \"" + names[i] + "\"; valid are: " + valid);
             continue;
@@ -119,6 +141,9 @@ Row read_row(const std::vector<std::string>& fields, const Header& header, std::
         if (header[c] == kAbsent) continue;
         const std::string& text = fields[header[c]];
         if (c == channel) {
+            if (text.size() > kLongestName)
+                errors.add(line, header[c] + 1, "too_long", "at most " + std::to_string(kLongestName) + " bytes");
+            if (!is_utf8(text)) errors.add(line, header[c] + 1, "not_utf8", "the channel's name is not UTF-8");
             row.channel = text;
             continue;
         }
@@ -148,7 +173,10 @@ std::vector<Row> read_rows(std::string_view text, Header& header) {
         if (line.ends_with('\r')) line.remove_suffix(1);
         if (line.starts_with('#') || trimmed(line).empty()) continue;
         const std::vector<std::string> fields = fields_of(line, number, errors);
-        if (fields.empty()) continue;  // refused
+        if (fields.empty()) {  // refused
+            if (!has_header) errors.throw_if_any();
+            continue;
+        }
         if (!has_header) {
             header = read_header(fields, number, errors);
             columns = fields.size();
@@ -168,7 +196,8 @@ std::vector<Row> read_rows(std::string_view text, Header& header) {
         }
         rows.push_back(read_row(fields, header, number, errors));
     }
-    if (rows.empty()) errors.add(std::max<std::size_t>(number, 1), 1, "missing", "there are no rows of data");
+    if (rows.empty() && errors.empty())
+        errors.add(std::max<std::size_t>(number, 1), 1, "missing", "there are no rows of data");
     errors.throw_if_any();
     return rows;
 }

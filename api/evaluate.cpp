@@ -1,6 +1,7 @@
 #include "api/evaluate.h"
 
 #include <algorithm>
+#include <cmath>
 
 #include <fmt/format.h>
 
@@ -15,7 +16,7 @@ namespace {
 using nlohmann::json;
 
 struct Raw {
-    std::string model;
+    std::optional<std::string> model;
     std::optional<double> wavelength_nm;
     const json* lobes = nullptr;
     const json* parameters = nullptr;
@@ -55,8 +56,7 @@ void read_geometry(const json& value, const Place& place, Raw& out) {
 }
 
 const std::vector<Field<Raw>> kFields{
-    {"model", true, "the model's name",
-     [](const json& v, const Place& p, Raw& out) { out.model = read_text(v, p).value_or(""); }},
+    {"model", true, "the model's name", [](const json& v, const Place& p, Raw& out) { out.model = read_text(v, p); }},
     {"lobes", false, "number of lobes", [](const json& v, const Place&, Raw& out) { out.lobes = &v; }},
     {"parameters", true, "a value for every parameter",
      [](const json& v, const Place&, Raw& out) { out.parameters = &v; }},
@@ -101,7 +101,9 @@ void read_parameters(const Raw& raw, const Place& place, EvaluateRequest& reques
         const auto number = read_number((*raw.parameters)[p.name], at);
         if (!number) continue;
         request.parameters.back() = *number * request.units.back();
-        if (request.parameters.back() < p.domain_min || request.parameters.back() > p.domain_max)
+        // In the model's unit the number may have become too large for a double.
+        if (request.parameters.back() < p.domain_min || request.parameters.back() > p.domain_max ||
+            !std::isfinite(request.parameters.back()))
             at.fail("out_of_range", "outside the values the model is defined for");
     }
 }
@@ -128,8 +130,8 @@ EvaluateRequest read_evaluate_request(std::string_view body, const kernels::Cata
     read_object<Raw>(document, root, kFields, raw);
     if (raw.parameters != nullptr && !raw.parameters->is_object())
         root.at("parameters").fail("wrong_type", "must be an object");
-    const kernels::Family* family = catalogue.find(raw.model);
-    if (family == nullptr && !raw.model.empty())
+    const kernels::Family* family = raw.model ? catalogue.find(*raw.model) : nullptr;
+    if (raw.model && family == nullptr)
         root.at("model").fail("unknown_model", "unknown model; valid are: " + catalogue.names());
     if (family != nullptr && raw.parameters != nullptr && raw.parameters->is_object()) {
         raw.request.model = choose_variant(*family, raw, root);

@@ -16,6 +16,7 @@
 
 #include "api/names.h"
 #include "api/problem.h"
+#include "api/samples.h"
 #include "kernels/model.h"
 
 namespace brdfit::api {
@@ -78,7 +79,7 @@ inline std::optional<double> read_number(const nlohmann::json& value, const Plac
 }
 
 inline std::optional<std::string> read_text(const nlohmann::json& value, const Place& place,
-                                            std::size_t longest = 200) {
+                                            std::size_t longest = kLongestName) {
     if (!value.is_string()) {
         place.fail("wrong_type", "must be a string");
         return std::nullopt;
@@ -86,6 +87,10 @@ inline std::optional<std::string> read_text(const nlohmann::json& value, const P
     std::string text = value.get<std::string>();
     if (text.size() > longest) {
         place.fail("too_long", "at most " + std::to_string(longest) + " bytes");
+        return std::nullopt;
+    }
+    if (!is_utf8(text)) {
+        place.fail("not_utf8", "the text is not UTF-8");
         return std::nullopt;
     }
     return text;

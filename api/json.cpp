@@ -6,10 +6,12 @@
 #include <nlohmann/json.hpp>
 
 #include "api/problem.h"
+#include "kernels/text_place.h"
 
 namespace brdfit::api {
 namespace {
 
+using kernels::CountedChars;
 using nlohmann::json;
 
 constexpr std::size_t kDeepest = 16;
@@ -31,39 +33,42 @@ public:
     bool end_object() override { return close(); }
     bool end_array() override { return close(); }
     bool key(string_t& name) override {
-        if (open_.back()->contains(name))
-            throw Refusal({400,
-                           "invalid-json",
-                           "a key stands twice in an object",
-                           {{pointer() + "/" + pointer_part(name), "duplicate_key", "the key stands twice", {}, {}}}});
+        if (open_.back()->contains(name)) {
+            FieldError error{pointer() + "/" + pointer_part(name), "duplicate_key", "the key stands twice", {}, {}};
+            refuse("a key stands twice in an object", std::move(error), begin_of_string());
+        }
         key_ = name;
         return true;
     }
     bool parse_error(std::size_t position, const std::string&, const json::exception& error) override {
-        std::size_t line = 1;
-        std::size_t column = 1;
-        for (std::size_t i = 0; i + 1 < position && i < text_.size(); ++i) {
-            ++column;
-            if (text_[i] == '\n') {
-                ++line;
-                column = 1;
-            }
-        }
+        const std::size_t at = position == 0 ? 0 : position - 1;
         constexpr int kNumberOverflow = 406;  // nlohmann's out_of_range for a number that is no double
         if (error.id == kNumberOverflow)
-            throw Refusal({422,
-                           "invalid-request",
-                           "a number is not finite",
-                           {{place(), "not_finite", "the number is too large for a double", line, column}}});
-        throw Refusal({400,
-                       "invalid-json",
-                       "the body is not JSON",
-                       {{place(), "syntax", "not JSON from here on", line, column}}});
+            refuse("a number is not finite", {place(), "not_finite", "the number is too large for a double", {}, {}},
+                   at, 422, "invalid-request");
+        refuse("the body is not JSON", {place(), "syntax", "not JSON from here on", {}, {}}, at);
     }
 
     json document;
+    std::size_t read = 0;  ///< bytes that the parser has taken
 
 private:
+    [[noreturn]] void refuse(std::string detail, FieldError error, std::size_t offset, int status = 400,
+                             std::string type = "invalid-json") const {
+        const kernels::TextPlace at = kernels::place_of(text_, offset);
+        error.line = at.line;
+        error.column = at.column;
+        throw Refusal({status, std::move(type), std::move(detail), {std::move(error)}});
+    }
+    /// The opening quote of the string that has just been read: the last one that is not escaped.
+    [[nodiscard]] std::size_t begin_of_string() const {
+        std::size_t at = read - 1;
+        for (std::size_t backslashes = 1; backslashes % 2 != 0;) {
+            at = text_.rfind('"', at - 1);
+            for (backslashes = 0; backslashes < at && text_[at - 1 - backslashes] == '\\';) ++backslashes;
+        }
+        return at;
+    }
     /// Where the value that comes next will stand.
     [[nodiscard]] std::string place() const {
         if (open_.empty()) return "";
@@ -89,10 +94,7 @@ private:
     }
     bool open(json value) {
         if (open_.size() == kDeepest)
-            throw Refusal({400,
-                           "invalid-json",
-                           "the document is nested too deeply",
-                           {{place(), "too_deep", "at most 16 levels", {}, {}}}});
+            refuse("the document is nested too deeply", {place(), "too_deep", "at most 16 levels", {}, {}}, read - 1);
         if (!open_.empty())
             path_.push_back(open_.back()->is_array() ? std::to_string(open_.back()->size()) : pointer_part(key_));
         open_.push_back(put(std::move(value)));
@@ -113,10 +115,18 @@ private:
 }  // namespace
 
 json parse_json(std::string_view text) {
-    if (const auto nul = text.find('\0'); nul != std::string_view::npos)
-        throw Refusal({400, "invalid-json", "the body holds a NUL byte", {}});
+    if (const auto nul = text.find('\0'); nul != std::string_view::npos) {
+        const kernels::TextPlace at = kernels::place_of(text, nul);
+        throw Refusal({400,
+                       "invalid-json",
+                       "the body holds a NUL byte",
+                       {{"", "nul_byte", "a NUL byte is not JSON", at.line, at.column}}});
+    }
     Builder builder(text);
-    if (!json::sax_parse(text, &builder)) throw Refusal({400, "invalid-json", "the body is not JSON", {}});
+    std::size_t unused = 0;  // of the end, which does not move
+    const CountedChars begin(text.data(), builder.read);
+    const CountedChars end(text.data() + text.size(), unused);
+    if (!json::sax_parse(begin, end, &builder)) throw Refusal({400, "invalid-json", "the body is not JSON", {}});
     return std::move(builder.document);
 }
 

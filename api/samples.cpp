@@ -1,8 +1,11 @@
 #include "api/samples.h"
 
+#include <algorithm>
 #include <array>
 #include <charconv>
 #include <cmath>
+
+#include <nlohmann/json.hpp>
 
 namespace brdfit::api {
 namespace {
@@ -31,6 +34,16 @@ std::optional<std::string> bad_sigma(double value) {
 }
 std::optional<std::string> bad_wavelength(double nm) {
     return unless(nm >= 1 && nm <= 1e7, "wavelength_nm must lie in [1, 1e7]");
+}
+
+bool is_utf8(const std::string& text) {
+    if (std::all_of(text.begin(), text.end(), [](char c) { return static_cast<unsigned char>(c) < 0x80; })) return true;
+    try {
+        (void)nlohmann::json(text).dump();
+        return true;
+    } catch (const nlohmann::json::type_error&) {
+        return false;
+    }
 }
 
 std::string wavelength_name(double nm) {

@@ -20,6 +20,10 @@ std::optional<std::string> bad_brdf(double value);
 std::optional<std::string> bad_sigma(double value);
 std::optional<std::string> bad_wavelength(double nm);
 
+/// Whether a text may be answered as it is. JSON is UTF-8 or refused; CSV and queries may hold anything.
+bool is_utf8(const std::string& text);
+inline constexpr std::size_t kLongestName = 200;  ///< bytes
+
 /// A channel's name where none is given: "550nm" for 550, "550.5nm" for 550.5.
 std::string wavelength_name(double nm);
 

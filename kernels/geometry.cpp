@@ -46,8 +46,10 @@ long double tangential_sum_squared(const Angles& d) {
 double log_cos_alpha(const Angles& d) {
     const long double q = 2 * (sqr(d.sin_half_difference) + d.lift);  // 1 - cos alpha
     if (q < 0.5L) return static_cast<double>(std::log1p(-q));
-    const long double c =
-        d.sin_r > 0 ? d.cos_i * d.cos_r + d.sin_i * d.sin_r * d.cos_phi : d.cos_sum_of_angles - 2 * d.lift;
+    // Two forms of cos alpha, beyond the normal each a difference: the one of the smaller terms.
+    const long double height = d.cos_i * d.cos_r;
+    const long double c = d.sin_r > 0 || height < std::abs(d.cos_sum_of_angles) ? height + d.sin_i * d.sin_r * d.cos_phi
+                                                                                : d.cos_sum_of_angles - 2 * d.lift;
     return c > 0 ? static_cast<double>(std::log(c)) : -1e30;
 }
 

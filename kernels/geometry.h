@@ -26,8 +26,8 @@ struct Angles {
     explicit Angles(const Direction& direction);
 
     long double sin_i, sin_r, cos_i, cos_r, cos_phi;
-    long double lift;            ///< sin theta_i sin theta_r sin^2(phi/2): what leaving the plane of incidence adds
-    long double cos_difference;  ///< of theta_r - theta_i
+    long double lift;               ///< sin theta_i sin theta_r sin^2(phi/2): 0 in the plane of incidence
+    long double cos_sum_of_angles;  ///< cos(theta_i + |theta_r|)
     long double sin_half_difference, sin_half_sum;  ///< of (theta_r -+ theta_i)/2
     long double cos_half_sum;
 };

@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>  // the header of a model file is JSON: the parser we have anyway
 
 #include "kernels/embedded.h"
+#include "kernels/text_place.h"
 
 namespace brdfit::kernels {
 namespace {
@@ -18,6 +19,7 @@ using nlohmann::json;
 
 constexpr std::string_view kOpening = "/*{";
 constexpr std::string_view kClosing = "}*/";
+constexpr int kDeepest = 16;
 
 [[noreturn]] void refuse(std::string_view file, const std::string& reason) {
     throw ModelFileError(std::string(file) + ": " + reason);
@@ -80,6 +82,28 @@ public:
         }
         return result;
     }
+    /// An array; empty if it is not there.
+    const json& array(const char* key) {
+        static const json none = json::array();
+        const json* value = optional(key);
+        if (value == nullptr) return none;
+        if (!value->is_array()) refuse(file_, where_ + ": \"" + key + "\" must be an array");
+        return *value;
+    }
+    const json& object(const char* key) {
+        static const json none = json::object();
+        const json* value = optional(key);
+        if (value == nullptr) return none;
+        if (!value->is_object()) refuse(file_, where_ + ": \"" + key + "\" must be an object");
+        return *value;
+    }
+    /// An array with at least one element.
+    const json& elements(const char* key) {
+        (void)required(key);
+        const json& value = array(key);
+        if (value.empty()) refuse(file_, "\"" + std::string(key) + "\" is empty");
+        return value;
+    }
     /// [low, high]; null leaves a side as it is.
     void interval(const char* key, double& low, double& high) {
         const json* value = optional(key);
@@ -120,7 +144,7 @@ Parameter read_parameter(const json& object, const std::string& file) {
     p.scale = scale == "log" ? Scale::logarithmic : Scale::linear;
     r.finish();
     if (!(p.domain_min <= p.min && p.min <= p.typical_min && p.typical_min < p.typical_max && p.typical_max <= p.max &&
-          p.max <= p.domain_max))
+          p.max <= p.domain_max && std::isfinite(p.max - p.min)))
         refuse(file, p.name + ": need domain min <= min <= typical min < typical max <= max <= domain max");
     if (p.scale == Scale::logarithmic && !(p.min > 0)) refuse(file, p.name + ": a logarithmic scale needs min > 0");
     return p;
@@ -144,6 +168,10 @@ struct Header {
     std::vector<std::pair<std::string, std::map<std::string, double>>> special_cases;
 };
 
+bool are_different(const std::vector<std::string>& names, std::size_t count) {
+    return names.size() == count && std::set(names.begin(), names.end()).size() == count;
+}
+
 bool in_group(const Header& header, const std::string& name) {
     return std::any_of(header.group.begin(), header.group.end(), [&](const Parameter& p) { return p.name == name; });
 }
@@ -157,7 +185,7 @@ void read_repeated(const json& object, const std::string& file, Header& header) 
     repeat.max = r.count("max", repeat.min, 8);
     repeat.auto_max = r.count("auto_max", repeat.min, repeat.max);
     header.order_by = r.text("order_by");
-    for (const json& p : r.required("parameters")) header.group.push_back(read_parameter(p, file));
+    for (const json& p : r.elements("parameters")) header.group.push_back(read_parameter(p, file));
     r.finish();
     if (!in_group(header, header.order_by)) refuse(file, "\"order_by\" must name a parameter of the group");
     header.repeat = repeat;
@@ -169,6 +197,7 @@ Header::NamedTerm read_term(const json& object, const std::string& file) {
     term.name = r.identifier("name");
     if (r.optional("factor") != nullptr) term.factor = r.text("factor");
     term.of = r.texts("of");
+    if (!are_different(term.of, term.of.size())) refuse(file, "\"of\" names a parameter twice");
     if (const json* homogeneous = r.optional("homogeneous")) {
         Reader h(*homogeneous, file, "\"homogeneous\"");
         term.plane = h.texts("in");
@@ -182,8 +211,9 @@ Header::NamedTerm read_term(const json& object, const std::string& file) {
         const auto depends = [&](const std::string& name) {
             return std::find(term.of.begin(), term.of.end(), name) != term.of.end();
         };
-        if (term.plane.size() != 2 || !depends(term.plane[0]) || !depends(term.plane[1]) || !depends(term.degree) ||
-            !term.factor.empty())
+        std::vector<std::string> all = term.plane;
+        all.push_back(term.degree);
+        if (!are_different(all, 3) || !std::all_of(all.begin(), all.end(), depends) || !term.factor.empty())
             refuse(file, "\"homogeneous\" needs two parameters and a degree the term depends on, and no factor");
     }
     r.finish();
@@ -196,36 +226,66 @@ Header read_header(const json& object, const std::string& file) {
     header.model.title = r.text("title");
     header.model.source = r.text("source");
     header.model.formula = r.text("formula");
-    for (const json& p : r.required("parameters")) header.model.parameters.push_back(read_parameter(p, file));
+    for (const json& p : r.elements("parameters")) header.model.parameters.push_back(read_parameter(p, file));
     if (const json* repeated = r.optional("repeated")) read_repeated(*repeated, file, header);
-    for (const json& t : r.required("terms")) header.terms.push_back(read_term(t, file));
-    if (header.terms.empty()) refuse(file, "\"terms\" is empty");
-    if (const json* charts = r.optional("charts"))
-        for (const json& c : *charts) {
-            Reader chart(c, file, "a chart");
-            if (chart.text("kind") != "complex_index") refuse(file, "a chart's \"kind\" must be \"complex_index\"");
-            header.charts.push_back(chart.texts("parameters"));
-            chart.finish();
-            if (header.charts.back().size() != 2) refuse(file, "\"complex_index\" needs two parameters: n and k");
+    for (const json& t : r.elements("terms")) {
+        header.terms.push_back(read_term(t, file));
+        const auto same = [&](const auto& term) { return term.name == header.terms.back().name; };
+        if (std::count_if(header.terms.begin(), header.terms.end(), same) > 1)
+            refuse(file, "term \"" + header.terms.back().name + "\" stands twice");
+    }
+    for (const json& c : r.array("charts")) {
+        Reader chart(c, file, "a chart");
+        if (chart.text("kind") != "complex_index") refuse(file, "a chart's \"kind\" must be \"complex_index\"");
+        header.charts.push_back(chart.texts("parameters"));
+        chart.finish();
+        if (!are_different(header.charts.back(), 2)) refuse(file, "\"complex_index\" needs two parameters: n and k");
+    }
+    for (const json& c : r.array("special_cases")) {
+        Reader special(c, file, "a special case");
+        std::map<std::string, double> fixed;
+        for (const auto& [name, value] : special.object("fixed").items()) {
+            if (!value.is_number()) refuse(file, "a special case fixes parameters to numbers");
+            fixed[name] = value.get<double>();
         }
-    if (const json* cases = r.optional("special_cases"))
-        for (const json& c : *cases) {
-            Reader special(c, file, "a special case");
-            std::map<std::string, double> fixed;
-            for (const auto& [name, value] : special.required("fixed").items()) {
-                if (!value.is_number()) refuse(file, "a special case fixes parameters to numbers");
-                fixed[name] = value.get<double>();
-            }
-            header.special_cases.emplace_back(special.text("name"), fixed);
-            special.finish();
-        }
-    if (const json* traits = r.optional("traits"))
-        for (const auto& [name, value] : traits->items()) {
-            if (!value.is_boolean()) refuse(file, "\"traits\" are true or false");
-            header.model.traits[name] = value.get<bool>();
-        }
+        if (fixed.empty()) refuse(file, "a special case fixes no parameter");
+        header.special_cases.emplace_back(special.text("name"), fixed);
+        special.finish();
+    }
+    for (const auto& [name, value] : r.object("traits").items()) {
+        if (!value.is_boolean()) refuse(file, "\"traits\" are true or false");
+        header.model.traits[name] = value.get<bool>();
+    }
     r.finish();
     return header;
+}
+
+/// The header's JSON, which stands between /* and the end of this text. Messages say where it ceases to be JSON.
+json parse_header(std::string_view text, const std::string& file) {
+    std::size_t read = 2;
+    const auto fail = [&](const std::string& reason) {
+        const TextPlace at = place_of(text, read - 1);
+        refuse(file, "line " + std::to_string(at.line) + ", column " + std::to_string(at.column) + ": " + reason);
+    };
+    std::vector<std::set<std::string>> keys;  // of the objects that are open
+    const auto watch = [&](int depth, json::parse_event_t event, json& value) {
+        if (depth > kDeepest) fail("the header is nested too deeply");
+        if (event == json::parse_event_t::object_start) keys.emplace_back();
+        else if (event == json::parse_event_t::object_end) keys.pop_back();
+        else if (event == json::parse_event_t::key && !keys.back().insert(value.get<std::string>()).second)
+            fail("the key \"" + value.get<std::string>() + "\" stands twice");
+        return true;
+    };
+    std::size_t unused = 0;  // of the end, which does not move
+    try {
+        return json::parse(CountedChars(text.data() + read, read), CountedChars(text.data() + text.size(), unused),
+                           watch);
+    } catch (const json::parse_error&) {
+        fail("the header is not JSON from here on");
+    } catch (const json::out_of_range&) {
+        fail("the number is too large for a double");
+    }
+    return {};
 }
 
 std::size_t index_of(const Model& model, const std::string& name, std::string_view file) {
@@ -333,7 +393,12 @@ Model make_variant(const Header& header, std::size_t repeats, const std::string&
             {Chart::Kind::complex_index, {index_of(model, names[0], file), index_of(model, names[1], file)}});
     for (const auto& [name, fixed] : header.special_cases) {
         SpecialCase special{name, {}};
-        for (const auto& [parameter, value] : fixed) special.fixed[index_of(model, parameter, file)] = value;
+        for (const auto& [parameter, value] : fixed) {
+            const std::size_t i = index_of(model, parameter, file);
+            if (value < model.parameters[i].domain_min || value > model.parameters[i].domain_max)
+                refuse(file, "a special case fixes " + parameter + " outside its domain");
+            special.fixed[i] = value;
+        }
         model.special_cases.push_back(std::move(special));
     }
     model.prelude = generate_prelude(model, header);
@@ -375,16 +440,7 @@ Family parse_family(std::string_view name, std::string_view file_view, std::stri
     const auto end = text.find(kClosing);
     if (!text.starts_with(kOpening) || end == std::string_view::npos)
         refuse(file, "must begin with a JSON header between /* and */: /*{ ... }*/");
-    const json object = json::parse(text.substr(2, end - 1), nullptr, false);
-    if (object.is_discarded()) {
-        std::string reason = "the header is not JSON";
-        try {
-            const json parsed = json::parse(text.substr(2, end - 1));
-        } catch (const json::parse_error& error) {
-            reason += std::string(": ") + error.what();
-        }
-        refuse(file, reason);
-    }
+    const json object = parse_header(text.substr(0, end + 1), file);
     Header header = read_header(object, file);
     header.model.name = std::string(name);
     header.model.file = file;

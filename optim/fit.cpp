@@ -328,7 +328,9 @@ std::vector<Interval> parameter_bounds(const Model& model, const ModelRequest& r
         if (const auto it = request.fixed.find(parameter.name); it != request.fixed.end())
             interval = {it->second * unit, it->second * unit};
         if (!(interval.min <= interval.max)) throw InvalidBounds(parameter.name, "the lower bound is above the upper");
-        if (interval.min < parameter.domain_min || interval.max > parameter.domain_max)
+        // In the model's unit a bound may have become too large for a double.
+        if (interval.min < parameter.domain_min || interval.max > parameter.domain_max ||
+            !std::isfinite(interval.max - interval.min))
             throw InvalidBounds(parameter.name, "outside the values the model is defined for");
         bounds.push_back(interval);
     }

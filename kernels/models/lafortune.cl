@@ -28,7 +28,7 @@ void brdf(Params p, Geometry s, Terms *f) {
     for (int j = 0; j < LOBES; ++j) {
         const real b = p.lobe[j].c_xy * s.hxy + p.lobe[j].c_z * s.hz;
         const mask lit = b > 0.0;
-        const real base = sel(lit, fmax(b, (real)TINY), 1.0);
+        const real base = sel(lit, b, 1.0);
         const real l = log(base);
         const Exponential v = exponential(fmin(p.lobe[j].n * l, (real)LOG_HUGE)); /* saturates */
         const real value = sel(lit, v.mantissa, 0.0);

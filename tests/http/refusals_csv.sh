@@ -30,10 +30,12 @@ mistake "semicolons" 1 1 unknown_key 'theta_i_deg;theta_r_deg;brdf_per_sr\n15;0;
 # ---- rows ----
 mistake "a field too few" 3 1 ragged "$head\n15,0,0.1\n15,1\n"
 mistake "a field too many" 4 1 ragged "$head\n15,0,0.1\n\n15,1,0.1,7\n"
-mistake "a quote that does not end" 2 1 syntax "$head,channel\n15,0,0.1,\"red\n"
+mistake "a quote that does not end" 2 4 syntax "$head,channel\n15,0,0.1,\"red\n"
 for value in nan NaN inf -inf Infinity 1e999 '' x '0.1 0.2' 0x10; do
     mistake "a BRDF of \"$value\"" 3 3 not_a_number "$head\n15,0,0.1\n15,1,$value\n"
 done
+mistake "a quote in a field without" 2 4 syntax "$head,channel\n15,0,0.1,a\"b\"\n"
+mistake "a channel's name that is not UTF-8" 2 4 not_utf8 "$head,channel\n15,0,0.1,gr\\xfcn\n"
 mistake "a NUL byte in a number" 2 3 not_a_number "$head\n15,0,0.1\\0000\n"
 mistake "a decimal comma, quoted" 2 3 not_a_number "$head\n15,0,\"0,1\"\n"
 mistake "an angle that is no number" 2 1 not_a_number "$head\n15deg,0,0.1\n"
@@ -68,6 +70,7 @@ query "a seed that is no number" 'seed=x' /options/seed wrong_type
 query "a seed that is not finite" 'seed=inf' /options/seed wrong_type
 query "a time limit that is nan" 'time_limit_s=nan' /options/time_limit_s wrong_type
 query "unknown loss" 'loss=l3' /options/loss unknown_value
+query "a name that is not UTF-8" 'name=gr%FCn' /name not_utf8
 query "unknown unit" 'unit=sr' /unit unknown_value
 query "chi2 without sigma" 'models=lambert&loss=chi2' /options/loss needs_sigma
 query "fewer samples than parameters" 'models=he_torrance' /dataset/channels/0 too_few_samples

@@ -154,13 +154,13 @@ for body in '' ' ' '{' '{"dataset":' '{"dataset" 1}' '{"a":1}x' '[1,]' "{'a':1}"
 done
 text "truncated" 400 /dataset/channels/0/name syntax $'{"dataset":\n {"channels": [{"name": "re' 'and .line == 2 and .column > 20'
 text "an error on the third line" 400 /b syntax $'{"a": 1,\n\n  "b": ?}' 'and .line == 3 and .column == 8'
-text "a key twice" 400 /options/seed duplicate_key '{"options":{"seed":1,"seed":2}}'
+text "a key twice" 400 /options/seed duplicate_key '{"options":{"seed":1,"seed":2}}' 'and .line == 1 and .column == 22'
 text "a key twice, escaped" 400 /a duplicate_key '{"a":1,"\u0061":2}'
-text "nested 17 deep" 400 "$(printf '/0%.0s' {1..16})" too_deep "$(printf '[%.0s' {1..17})"
+text "nested 17 deep" 400 "$(printf '/0%.0s' {1..16})" too_deep "$(printf '[%.0s' {1..17})" 'and .line == 1 and .column == 17'
 printf '[%.0s' {1..1000000} | post_json /v1/fits -
 refused "nested a million deep" 400 '.code == "too_deep"'
 printf '{"models":["ward"]}\0{}' | post_json /v1/fits -
-refused "text after a NUL byte" 400
+refused "text after a NUL byte" 400 '.code == "nul_byte" and .line == 1 and .column == 20'
 get /health/live
 answered "the service has survived" 200
 finish

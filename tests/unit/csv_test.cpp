@@ -80,7 +80,8 @@ TEST(Csv, RefusesAHeader) {
 
 TEST(Csv, RefusesRows) {
     expect_refused(kHead + "\n1,2\n1,2,3\n1,2,3,4\n", {"2:1 ragged", "4:1 ragged"});
-    for (const char* value : {"", "x", "nan", "-nan", "inf", "-inf", "1e999", "0x1p3", "1 2", "1e", "++1", "1.2.3"})
+    for (const char* value :
+         {"", "x", "nan", "-nan", "inf", "-inf", "1e999", "0x1p3", "1 2", "1e", "++1", "+-1", "1.2.3"})
         expect_refused(kHead + "\n1,2," + value + "\n", {"2:3 not_a_number"});
     expect_refused(kHead + "\n90,2,3\n1,-90,3\n-0.1,90,3\n",
                    {"2:1 out_of_range", "3:2 out_of_range", "4:1 out_of_range", "4:2 out_of_range"});
@@ -90,8 +91,27 @@ TEST(Csv, RefusesRows) {
     expect_refused(kHead + ",channel,wavelength_nm\n1,2,3,a,550\n1,2,3,a,551\n", {"3:5 contradiction"});
 }
 
-TEST(Csv, RefusesAQuotedFieldThatDoesNotEnd) {
-    expect_refused(kHead + ",channel\n1,2,3,\"red\n1,2,3,blue\n", {"2:1 syntax"});
+TEST(Csv, KeepsWhatIsQuoted) {
+    const auto name = [](const std::string& field) {
+        return read_csv(kHead + ",channel\n1,2,3," + field + "\n").channels[0].name;
+    };
+    EXPECT_EQ(name(R"("a ""b""")"), R"(a "b")");
+    EXPECT_EQ(name(R"(  """"  )"), R"(")");
+    EXPECT_EQ(name(R"(" red, x ")"), " red, x ");
+    EXPECT_EQ(name("\"\""), "1");
+    EXPECT_EQ(read_csv(kHead + "\n\" 15 \",30,0.1\n"), read_csv(kHead + "\n15,30,0.1\n"));
+}
+
+TEST(Csv, RefusesQuotesThatDoNotPairAndSaysInWhichField) {
+    expect_refused(kHead + ",channel\n1,2,3,\"red\n1,2,3,blue\n", {"2:4 syntax"});
+    expect_refused(kHead + ",channel\n1,2,3,a\"b\"\n", {"2:4 syntax"});
+    expect_refused(kHead + ",channel\n\"1\"x,2,3,a\n", {"2:1 syntax"});
+    expect_refused("\"" + kHead + "\n1,2,3\n", {"1:1 syntax"});
+}
+
+TEST(Csv, RefusesAChannelNameThatJsonCouldNotHold) {
+    expect_refused(kHead + ",channel\n1,2,3,gr\xFCn\n", {"2:4 not_utf8"});
+    expect_refused(kHead + ",channel\n1,2,3," + std::string(201, 'x') + "\n", {"2:4 too_long"});
 }
 
 TEST(Csv, RefusesANulByte) {

@@ -51,6 +51,8 @@ TEST(Evaluate, TakesTheLobesThatTheParametersName) {
 TEST(Evaluate, RefusesWithAPointer) {
     using Errors = std::vector<std::string>;
     EXPECT_EQ(refused("/model", "blinn"), Errors{"/model unknown_model"});
+    EXPECT_EQ(refused("/model", ""), Errors{"/model unknown_model"});
+    EXPECT_EQ(refused("/parameters/tau", 1.7e308), Errors{"/parameters/tau out_of_range"}) << "infinite in wavelengths";
     EXPECT_EQ(refused("/parameters/m", 1), Errors{"/parameters/m unknown_parameter"});
     EXPECT_EQ(refused("/parameters/k", -1), Errors{"/parameters/k out_of_range"});
     EXPECT_EQ(refused("/parameters/k", "1"), Errors{"/parameters/k wrong_type"});

@@ -125,7 +125,10 @@ TEST(Header, MistakesAreRefusedWithTheFileAndTheReason) {
     } mistakes[] = {
         {"/*{", "{", "must begin with a JSON header"},
         {"}*/", "}", "must begin with a JSON header"},
-        {"\"title\": \"Minnaert\",", "\"title\": Minnaert,", "not JSON"},
+        {"\"title\": \"Minnaert\",", "\"title\": Minnaert,", "line 2, column 12: the header is not JSON"},
+        {"\"min\": 0.1", "\"min\": 1e999", "line 7, column 44: the number is too large for a double"},
+        {"\"source\"", "\"title\": \"M\", \"source\"", "line 3, column 9: the key \"title\" stands twice"},
+        {"\"traits\"", "\"traits\": [[[[[[[[[[[[[[[[[[", "line 10, column 29: the header is nested too deeply"},
         {"\"source\": \"Minnaert 1941\",", "", "lacks \"source\""},
         {"\"title\": \"Minnaert\"", "\"title\": 3", "\"title\" must be a string"},
         {"\"source\"", "\"colour\": 1, \"source\"", "unknown key \"colour\""},
@@ -145,6 +148,16 @@ TEST(Header, MistakesAreRefusedWithTheFileAndTheReason) {
         {"\"of\": [\"k\"]", "\"of\": [\"q\"]", "no parameter \"q\""},
         {"\"factor\": \"albedo\"", "\"factor\": \"q\"", "no parameter \"q\""},
         {"[{\"name\": \"moon\", \"factor\": \"albedo\", \"of\": [\"k\"]}]", "[]", "\"terms\" is empty"},
+        {"\"of\": [\"k\"]}]", "\"of\": [\"k\"]}, {\"name\": \"moon\"}]", "term \"moon\" stands twice"},
+        {"\"of\": [\"k\"]", "\"of\": [\"k\", \"k\"]", "\"of\" names a parameter twice"},
+        {"\"min\": 0, \"max\": 1", "\"min\": -1e308, \"max\": 1e308", "albedo: need"},
+        {"{\"reciprocal\": true, \"energy_conserving\": false}", "true", "\"traits\" must be an object"},
+        {"\"traits\"", "\"charts\": {}, \"traits\"", "\"charts\" must be an array"},
+        {"\"traits\"", "\"charts\": [{\"kind\": \"complex_index\", \"parameters\": [\"k\", \"k\"]}], \"traits\"",
+         "needs two parameters"},
+        {"\"traits\"", "\"special_cases\": [{\"name\": \"x\", \"fixed\": {\"k\": -1}}], \"traits\"",
+         "fixes k outside its domain"},
+        {"\"traits\"", "\"special_cases\": [{\"name\": \"x\", \"fixed\": {}}], \"traits\"", "fixes no parameter"},
         {"\"reciprocal\": true", "\"reciprocal\": \"yes\"", "true or false"},
         {"\"traits\"", "\"charts\": [{\"kind\": \"polar\", \"parameters\": [\"k\"]}], \"traits\"", "complex_index"},
         {"\"traits\"", "\"special_cases\": [{\"name\": \"x\", \"fixed\": {\"q\": 1}}], \"traits\"",
@@ -161,7 +174,10 @@ TEST(Header, MistakesAreRefusedWithTheFileAndTheReason) {
 TEST(Header, OfTheWrongShapeIsRefusedRatherThanCrashing) {
     // Arrays where objects should be and the like: whatever it is, it is a ModelFileError.
     for (const char* text :
-         {"/*{}*/", "/*{\"title\": \"t\", \"source\": \"s\", \"formula\": \"f\", \"parameters\": 3, \"terms\": []}*/",
+         {"/*{}*/",
+          "/*{\"title\": \"t\", \"source\": \"s\", \"formula\": \"f\", \"parameters\": [], \"terms\": [{\"name\": "
+          "\"a\"}]}*/",
+          "/*{\"title\": \"t\", \"source\": \"s\", \"formula\": \"f\", \"parameters\": 3, \"terms\": []}*/",
           "/*{\"title\": \"t\", \"source\": \"s\", \"formula\": \"f\", \"parameters\": [3], \"terms\": []}*/",
           "/*{\"title\": \"t\", \"source\": \"s\", \"formula\": \"f\", \"parameters\": [], \"terms\": [[]]}*/",
           "/*{\"title\": \"t\", \"source\": \"s\", \"formula\": \"f\", \"parameters\": [], \"terms\": [{\"name\": "

@@ -171,6 +171,11 @@ TEST(Request, RefusesValues) {
     expect_code("/options/effort", "", "unknown_value");
     expect_code("/options/precision", "half", "unknown_value");
     expect_code("/dataset/name", std::string(201, 'x'), "too_long");
+    // In wavelengths too large for a double, in either channel; and an interval that is.
+    const std::string tau = "/models/2/fixed/tau out_of_range";
+    expect_refused("/models/2", {{"name", "he_torrance"}, {"fixed", {{"tau", 1.7e308}}}}, {tau, tau});
+    const std::string c_z = "/models/1/bounds/c_z_1 out_of_range";
+    expect_refused("/models/1/bounds", {{"c_z_1", {-1e308, 1e308}}}, {c_z, c_z});
     for (const double seed : {-1.0, 0.5, 9007199254740992.0}) expect_code("/options/seed", seed, "out_of_range");
     for (const double limit : {0.0, -1.0, 3600.5}) expect_code("/options/time_limit_s", limit, "out_of_range");
     for (const json& lobes : {json(0), json(4), json(1.0), json("two"), json(true), json()})
