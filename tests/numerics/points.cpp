@@ -101,10 +101,15 @@ std::vector<double> draw_lafortune(Random& random, const Direction& direction, c
         if (random.chance(0.1) && angles.hz > 0)
             c_z = -c_xy * angles.hxy / angles.hz * (1 + log_uniform(random, 1e-6, 1));
         // Bring b^n between underflow and overflow.
-        const double b = c_xy * angles.hxy + c_z * angles.hz;
         // Where the precision's rounding of the coefficients leaves no digit there is nothing to measure.
-        const double amplified = (std::abs(c_xy * angles.hxy) + std::abs(c_z * angles.hz)) / std::abs(b);
-        n = std::min(n, 0.005 / static_cast<double>(range.eps) / amplified);
+        const auto base = [&] { return c_xy * angles.hxy + c_z * angles.hz; };
+        const auto amplified = [&] {
+            return (std::abs(c_xy * angles.hxy) + std::abs(c_z * angles.hz)) / std::abs(base());
+        };
+        const double most = 0.06 / static_cast<double>(range.eps);
+        if (amplified() > most) c_z = -c_z;
+        n = std::min(n, most / amplified());
+        const double b = base();
         const double power = random.chance(0.5) ? random.uniform(-exponent, exponent)
                                                 : log_uniform(random, 1e-6, exponent) * sign(random);
         const double factor = std::exp(power / n) / b;
@@ -149,7 +154,7 @@ std::vector<double> draw_he_torrance(Random& random, Direction& direction, bool 
     const double index_kind = random.uniform(0, 1);
     if (index_kind < 0.1) n = 1;
     else if (index_kind < 0.25) n = 1 + log_uniform(random, 1e-12, 0.5) * (random.chance(0.7) ? 1 : -1);
-    else if (index_kind < 0.45 && angles.sd2 > 1e-5)  // total reflection, and its onset
+    else if (index_kind < 0.45 && angles.sd2 > 2.5e-3)  // total reflection, and its onset
         n = std::sqrt(angles.sd2) *
             (random.chance(0.5) ? random.uniform(0.2, 1) : 1 + log_uniform(random, 64 * eps, 0.1) * sign(random));
     double k = 0;
