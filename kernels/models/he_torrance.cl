@@ -23,21 +23,55 @@
   "traits": {"reciprocal": true, "energy_conserving": false}
 }*/
 
+/* A number to twice the precision, high + low: the slopes by sigma and tau are differences of large terms, which would
+ * show what its rounding does to g, a and h. */
+typedef struct {
+    real high, low;
+} Wide;
+
+inline Wide product_of(real x, real y) {
+    Wide t;
+    t.high = x * y;
+    t.low = fma(x, y, -t.high);
+    return t;
+}
+
+inline Wide quotient_of(real x, real y) {
+    Wide t;
+    t.high = x / y;
+    t.low = fma(-t.high, y, x) / y;
+    return t;
+}
+
+/* (pi x)^2 */
+inline Wide pi_times_squared(Wide x) {
+    const Wide square = product_of(x.high, x.high);
+    Wide t = product_of(square.high, (real)PI_SQUARED);
+    t.low += square.high * PI_SQUARED_LOW + (square.low + 2.0 * x.high * x.low) * PI_SQUARED;
+    return t;
+}
+
 /* Shadowing S1 of one direction, K = tan theta erfc(h), and their slopes by ln h; h = tau cot theta / (2 sigma). */
 typedef struct {
     real S, S_slope; /* S1 and d ln S1/d ln h */
     real K, K_slope; /* K and d K/d ln h */
 } Shadow;
 
-inline Shadow shadow(real tan_theta, real slope) {
+inline Shadow shadow(real tan_theta, Wide slope) {
     Shadow t;
-    /* Beyond h = 30 the surface is flat to this direction in every digit. */
-    const real h = fmin(slope / (2.0 * fmax(tan_theta, (real)TINY)), (real)30.0);
-    const real E = exp(-sqr(h));
-    const real erfc_h = E * erfcx(h);
+    /* Beyond h = 30 the surface is flat to this direction in every digit. What rounding takes off h and h^2 goes back
+     * into E = exp(-h^2) and erfc(h), which would magnify it. */
+    const real twice = 2.0 * fmax(tan_theta, (real)TINY);
+    const real quotient = slope.high / twice;
+    const real h = fmin(quotient, (real)30.0);
+    const real h_low = sel(quotient < 30.0, (fma(-h, twice, slope.high) + slope.low) / twice, 0.0);
+    const Wide h2 = product_of(h, h);
+    const real E_high = exp(-h2.high);
+    const real E = E_high - E_high * (h2.low + 2.0 * h * h_low);
+    const real erfc_h = E_high * (erfcx(h) * (1.0 - h2.low) - 2.0 / sqrt((real)PI) * h_low);
     const real x = sqrt((real)PI) * h * (2.0 - erfc_h);
     t.S = x / (x + E);
-    t.S_slope = E / (x + E) + 2.0 * sqr(h) * E / x;
+    t.S_slope = E / (x + E) + 2.0 * h2.high * E / x;
     t.K = tan_theta * erfc_h;
     t.K_slope = -2.0 / sqrt((real)PI) * tan_theta * h * E;
     return t;
@@ -194,27 +228,6 @@ inline Series poisson_series(real g, real a) {
     return t;
 }
 
-/* A number to twice the precision, high + low. The slope by tau is a difference of large terms in g and a, which are
- * therefore rounded once only. */
-typedef struct {
-    real high, low;
-} Wide;
-
-inline Wide product_of(real x, real y) {
-    Wide t;
-    t.high = x * y;
-    t.low = fma(x, y, -t.high);
-    return t;
-}
-
-/* (pi x)^2 */
-inline Wide pi_times_squared(Wide x) {
-    const Wide square = product_of(x.high, x.high);
-    Wide t = product_of(square.high, (real)PI_SQUARED);
-    t.low += square.high * PI_SQUARED_LOW + (square.low + 2.0 * x.high * x.low) * PI_SQUARED;
-    return t;
-}
-
 /* x height^2, in this order (see Series); saturates. */
 inline real raised(real x, Series M) { return saturated(x) * M.height * M.height; }
 
@@ -223,7 +236,7 @@ void brdf(Params p, Geometry s, Terms *f) {
 
     const real sigma = fmax(p.sigma, (real)1e-18); /* 0 is a smooth surface: no lobe, and no division by 0 */
     const real tau = fmax(p.tau, (real)1e-18);
-    const real slope = tau / sigma;
+    const Wide slope = quotient_of(tau, sigma);
     const Shadow in = shadow(s.ti, slope);
     const Shadow out = shadow(s.tr, slope);
 
