@@ -92,7 +92,9 @@ inline Fresnel fresnel(real n, real k, real cd2, real sd2) {
     /* q = sqrt(N^2 - sin^2 theta_d) = a + ib: the larger of a^2, b^2 by its formula, the other by a b = n k. */
     const real A = sel(sd2 < 0.5, fma(n, n, -sd2) - sqr(k), N2_1.re + cd2); /* the form that cancels less */
     const mask refracts = A >= 0.0;
-    const real large = fmax(0.5 * (sqrt(sqr(A) + sqr(N2.im)) + fabs(A)), (real)TINY);
+    const real longer = fmax(fabs(A), N2.im);
+    const real ratio = fmin(fabs(A), N2.im) / fmax(longer, (real)TINY);
+    const real large = fmax(0.5 * (longer * sqrt(1.0 + sqr(ratio)) + fabs(A)), (real)TINY);
     const real small = sqr(n * k) / large;
     const real a = sqrt(sel(refracts, large, small));
     const real b2 = sel(refracts, small, large);
@@ -105,16 +107,16 @@ inline Fresnel fresnel(real n, real k, real cd2, real sd2) {
     t.F = 0.5 * Rs * (1.0 + p_over_s);
 
     /* dF/dN = conj(r_s) r_s' + conj(r_p) r_p'; as c^2 - q^2 = 1 - N^2 and N^4 c^2 - q^2 = (N^2 - 1)(N^2 c^2 - s^2) it is
-     * 2c N conj(q) conj(N^2 - 1)/|q|^2 [1/|q + c|^4 + (N^2 - 2 s^2) conj(N^2 c^2 - s^2)/|N^2 c + q|^4],
+     * 2c N conj(q)/|q|^2 [conj(N^2 - 1)/|q + c|^4 + (N^2 - 2 s^2) conj((N^2 - 1)(N^2 c^2 - s^2))/|N^2 c + q|^4],
      * without a difference of nearly equal terms. dF/dn is its real part, dF/dk minus its imaginary part. */
     const real q_norm = large + small;
     const real p_norm = sqr(N2.re * c + q.re) + sqr(N2.im * c + q.im);
-    const complex_real p_part =
-        complex_times(complex_scaled(complex_of(N2.re - 2.0 * sd2, N2.im), 1.0 / p_norm),
-                      complex_scaled(complex_of(N2.re * cd2 - sd2, -N2.im * cd2), 1.0 / p_norm));
-    const complex_real both = complex_of(1.0 / sqr(s_norm) + p_part.re, p_part.im);
+    const complex_real s_part = complex_scaled(complex_scaled(complex_conjugate(N2_1), 1.0 / s_norm), 1.0 / s_norm);
+    const complex_real p_part = complex_times(
+        complex_times(complex_scaled(complex_conjugate(N2_1), 1.0 / p_norm), complex_of(N2.re * cd2 - sd2, -N2.im * cd2)),
+        complex_scaled(complex_of(N2.re - 2.0 * sd2, N2.im), 1.0 / p_norm));
     const complex_real N_q = complex_scaled(complex_times(N, complex_conjugate(q)), 2.0 * c / q_norm);
-    const complex_real slope = complex_times(complex_times(N_q, complex_conjugate(N2_1)), both);
+    const complex_real slope = complex_times(N_q, complex_of(s_part.re + p_part.re, s_part.im + p_part.im));
     t.F_n = slope.re;
     t.F_k = -slope.im;
     return t;

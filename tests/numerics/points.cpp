@@ -222,6 +222,9 @@ Golden golden(const Model& model, const Point& point) {
                     std::abs(static_cast<long double>(point.parameters[j]) * result.gradient[j] / result.specular);
     result.slope_condition.assign(point.parameters.size(), result.condition + homogeneous_condition(model, point));
     if (model.name == "he_torrance") {
+        // Slopes by sigma and tau are differences of terms of this size.
+        result.slope_condition[0] += 2 * jet.steepness.convert_to<long double>();
+        result.slope_condition[1] += 2 * jet.steepness.convert_to<long double>();
         result.slope_condition[2] += root_condition(point);
         result.slope_condition[3] += root_condition(point);
     }

@@ -351,26 +351,39 @@ Series<T> series(const T& g, const T& a) {
     return result;
 }
 
+// A sum, and how steep the exponential within it is.
+template <typename X, typename T>
+struct Sum {
+    X value;
+    T steepness;  // -d ln value/d ln a
+};
+
 template <typename T>
-T seriesSum(const T& g, const T& a) {
-    return series(g, a).sum;
+T steepness(const Series<T>& s, const T& a) {
+    return s.sum > 0 ? T(-s.by_a * a / s.sum) : T(0);
+}
+
+template <typename T>
+Sum<T, T> seriesSum(const T& g, const T& a) {
+    const Series<T> s = series(g, a);
+    return {s.sum, steepness(s, a)};
 }
 
 template <typename T, std::size_t N>
-Dual<T, N> seriesSum(const Dual<T, N>& g, const Dual<T, N>& a) {
+Sum<Dual<T, N>, T> seriesSum(const Dual<T, N>& g, const Dual<T, N>& a) {
     const Series<T> s = series(g.v, a.v);
     Dual<T, N> result(s.sum);
     for (std::size_t i = 0; i < N; ++i) {
         result.d[i] = s.by_g * g.d[i] + s.by_a * a.d[i];
     }
-    return result;
+    return {result, steepness(s, a.v)};
 }
 
 // G S D / (pi cos_i cos_r): f = rho_ud / pi + F times this. Lengths in wavelengths.
 template <typename X, typename T>
-X roughness(const X& sigma_0, const X& tau, const Directions<T>& d) {
+Sum<X, T> roughness(const X& sigma_0, const X& tau, const Directions<T>& d) {
     if (d.grazing || sigma_0 == X(0) || tau == X(0)) {
-        return 0;
+        return {0, 0};
     }
     const T geometric = square(T(dot(d.sum, d.sum) / d.sum[2]));
     const Masking<X> i(sigma_0, tau, d.sin_i, d.cos_i);
@@ -380,8 +393,9 @@ X roughness(const X& sigma_0, const X& tau, const Directions<T>& d) {
     const T wave_number = 2 * pi<T>();
     const X g = square(X(X(wave_number) * sigma * X(d.cos_i + d.cos_r)));
     const X a = square(X(X(wave_number) * tau)) * X((square(d.sum[0]) + square(d.sum[1])) / 4);
-    const X distribution = square(X(X(pi<T>()) * tau)) / X(4) * seriesSum(g, a);
-    return X(geometric) * i.s * r.s * distribution / X(pi<T>() * d.cos_i * d.cos_r);
+    const Sum<X, T> sum = seriesSum(g, a);
+    const X distribution = square(X(X(pi<T>()) * tau)) / X(4) * sum.value;
+    return {X(X(geometric) * i.s * r.s * distribution / X(pi<T>() * d.cos_i * d.cos_r)), sum.steepness};
 }
 
 Model checkedModel(std::string_view name, std::size_t parameter_count, bool is_i_grazing, bool is_any_grazing) {
@@ -444,7 +458,7 @@ private:
     // The series is the expensive part, and differences in n, k and rho_ud leave it unchanged.
     const Real& rememberedRoughness(const Real& sigma_0, const Real& tau) {
         if (!remembered_ || remembered_->sigma_0 != sigma_0 || remembered_->tau != tau) {
-            remembered_ = Remembered{sigma_0, tau, roughness(sigma_0, tau, directions_)};
+            remembered_ = Remembered{sigma_0, tau, roughness(sigma_0, tau, directions_).value};
         }
         return remembered_->value;
     }
@@ -543,7 +557,9 @@ Jet<T> jet(std::string_view model, std::span<const double> parameters, const Geo
             break;
         case Model::kHeTorrance: {
             const Pair reflectance = fresnelJet(parameters[2], parameters[3], T(dot(directions.u, directions.half)));
-            const Pair rest = roughness(Pair(p(0), 0), Pair(p(1), 1), directions);
+            const Sum<Pair, T> rough = roughness(Pair(p(0), 0), Pair(p(1), 1), directions);
+            const Pair& rest = rough.value;
+            result.steepness = rough.steepness;
             result.specular = reflectance.v * rest.v;
             for (std::size_t j = 0; j < 2; ++j) {
                 result.gradient[j] = reflectance.v * rest.d[j];

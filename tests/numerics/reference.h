@@ -60,6 +60,7 @@ template <typename T>
 struct Jet {
     T specular = 0;
     std::vector<T> gradient;
+    T steepness = 0;  ///< he_torrance: -d ln D/d ln tau^2 at a given roughness, >= 0
 };
 
 /// For T = Fast and Real. Throws as value().
