@@ -48,6 +48,23 @@ void write_file(const std::filesystem::path& path, const std::string& text) {
     if (!(out << text).flush()) throw std::runtime_error(path.string() + ": cannot be written");
 }
 
+/// Tests the device in what this fit uses: double where it may, as the report is computed in it, else single.
+void prove(kernels::Engine& engine, const api::FitRequest& request) {
+    using kernels::Precision;
+    std::vector<kernels::Family> families;
+    for (const optim::ModelRequest& model : request.models) families.push_back(*model.family);
+    const auto test = [&](Precision precision) {
+        const kernels::SelfTest result = kernels::prove(engine, families, precision, kernels::SelfTestForm::brief);
+        if (result.passed()) return;
+        std::fprintf(stderr, "brdfit: %s\n", result.reason().c_str());
+        for (const kernels::ModelTest& model : result.models)
+            for (const std::string& failure : model.failures()) std::fprintf(stderr, "    %s\n", failure.c_str());
+    };
+    if (engine.supports(Precision::double_precision)) test(Precision::double_precision);
+    if (!engine.supports(Precision::double_precision) || request.options.precision == Precision::single_precision)
+        test(Precision::single_precision);
+}
+
 /// False if no model could be fitted.
 bool fit(const FitArguments& arguments) {
     const kernels::Catalogue catalogue(arguments.model_folders);
@@ -64,10 +81,7 @@ bool fit(const FitArguments& arguments) {
         is_json ? api::read_fit_request(text, catalogue) : api::read_fit_request_csv(text, query, catalogue);
     kernels::Engine engine(arguments.engine);
     optim::Fitter fitter(engine, std::thread::hardware_concurrency());
-    std::vector<kernels::Family> families;
-    for (const optim::ModelRequest& model : request.models) families.push_back(*model.family);
-    for (const kernels::SelfTest& test : kernels::prove(engine, families, kernels::SelfTestForm::brief))
-        if (!test.passed()) std::fprintf(stderr, "brdfit: %s\n", test.reason().c_str());
+    prove(engine, request);
     for (const optim::ModelRequest& model : request.models) fitter.warm_up(*model.family);
     const optim::Report report = fitter.fit(request.dataset, request.models, request.options);
     if (arguments.json) std::fputs(api::to_json(report, "local").c_str(), stdout);

@@ -172,8 +172,8 @@ std::string SelfTest::reason() const {
     }
     if (list.empty()) return "";
     const char* name = precision == Precision::double_precision ? "double" : "single";
-    return std::string("the device failed the self-test in ") + name + " precision: " + list + "; " +
-           text_of(kLargestError_eps) + " eps are allowed";
+    return std::string("the device failed the self-test in ") + name + " precision (" + text_of(kLargestError_eps) +
+           " eps are allowed): " + list;
 }
 
 SelfTest self_test(Engine& engine, std::span<const Family> families, Precision precision, SelfTestForm form) {
@@ -184,13 +184,16 @@ SelfTest self_test(Engine& engine, std::span<const Family> families, Precision p
     return result;
 }
 
+SelfTest prove(Engine& engine, std::span<const Family> families, Precision precision, SelfTestForm form) {
+    SelfTest result = self_test(engine, families, precision, form);
+    if (!result.passed()) engine.withdraw(precision, result.reason());
+    return result;
+}
+
 std::vector<SelfTest> prove(Engine& engine, std::span<const Family> families, SelfTestForm form) {
     std::vector<SelfTest> results;
-    for (const Precision precision : {Precision::double_precision, Precision::single_precision}) {
-        if (!engine.supports(precision)) continue;
-        results.push_back(self_test(engine, families, precision, form));
-        if (!results.back().passed()) engine.withdraw(precision, results.back().reason());
-    }
+    for (const Precision precision : {Precision::double_precision, Precision::single_precision})
+        if (engine.supports(precision)) results.push_back(prove(engine, families, precision, form));
     return results;
 }
 

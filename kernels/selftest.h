@@ -57,7 +57,10 @@ struct SelfTest {
 /// PrecisionError.
 SelfTest self_test(Engine& engine, std::span<const Family> families, Precision precision, SelfTestForm form);
 
-/// Tests each precision that may be used, and withdraws those that fail.
+/// The same, and withdraws the precision if it fails.
+SelfTest prove(Engine& engine, std::span<const Family> families, Precision precision, SelfTestForm form);
+
+/// Proves each precision that may be used, double first.
 std::vector<SelfTest> prove(Engine& engine, std::span<const Family> families, SelfTestForm form);
 
 }  // namespace brdfit::kernels

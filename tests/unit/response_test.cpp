@@ -195,7 +195,7 @@ TEST(Response, SaysWhatTheSelfTestsFound) {
             {"model": "ward", "points": 8, "value": {"eps": 2.5}, "slope": {"eps": 32.0}, "passed": true, "time_ms": 3.5},
             {"model": "mine", "points": 0, "time_ms": 0.0}]},
         {"precision": "single", "form": "whole", "passed": false,
-         "reason": "the device failed the self-test in single precision: lafortune (2) is off by inf eps, ward cannot be computed; 32 eps are allowed",
+         "reason": "the device failed the self-test in single precision (32 eps are allowed): lafortune (2) is off by inf eps, ward cannot be computed",
          "time_ms": 6.0, "models": [
             {"model": "lafortune", "lobes": 2, "points": 50, "value": {"eps": 1.0}, "slope": {"eps": null, "at": "n at x"},
              "passed": false, "time_ms": 2.0},
