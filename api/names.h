@@ -8,6 +8,7 @@
 #include <string_view>
 
 #include "kernels/engine.h"
+#include "kernels/selftest.h"
 #include "optim/dataset.h"
 #include "optim/loss.h"
 #include "optim/report.h"
@@ -30,6 +31,10 @@ inline constexpr std::array<Named<optim::Effort>, 3> kEfforts{{
 inline constexpr std::array<Named<kernels::Precision>, 2> kPrecisions{{
     {kernels::Precision::single_precision, "single", "the search in 32 bits"},
     {kernels::Precision::double_precision, "double", "the search in 64 bits"},
+}};
+inline constexpr std::array<Named<kernels::SelfTestForm>, 2> kSelfTestForms{{
+    {kernels::SelfTestForm::brief, "brief", "a handful of points a model"},
+    {kernels::SelfTestForm::whole, "whole", "all points"},
 }};
 inline constexpr std::array<Named<optim::Unit>, 2> kUnits{{
     {optim::Unit::per_steradian, "1/sr", "absolute"},

@@ -109,6 +109,40 @@ Json family_json(const kernels::Family& family) {
     return json;
 }
 
+Json worst_json(const kernels::WorstError& error) {
+    Json json{{"eps", number(error.eps)}};
+    if (error.eps > kernels::kLargestError_eps) json["at"] = error.where;
+    return json;
+}
+
+Json model_test_json(const kernels::ModelTest& test) {
+    Json json{{"model", test.model}};
+    if (test.lobes > 0) json["lobes"] = test.lobes;
+    json["points"] = test.points;
+    if (test.points > 0) {
+        json["value"] = worst_json(test.value);
+        json["slope"] = worst_json(test.slope);
+    }
+    if (test.points > 0 || !test.passed()) json["passed"] = test.passed();
+    json["time_ms"] = number(test.time_ms);
+    return json;
+}
+
+Json self_tests_json(std::span<const kernels::SelfTest> tests) {
+    Json precisions = Json::array();
+    for (const kernels::SelfTest& test : tests) {
+        Json json{{"precision", name_of(kPrecisions, test.precision)},
+                  {"form", name_of(kSelfTestForms, test.form)},
+                  {"passed", test.passed()}};
+        if (!test.passed()) json["reason"] = test.reason();
+        json["time_ms"] = number(test.time_ms());
+        json["models"] = Json::array();
+        for (const kernels::ModelTest& model : test.models) json["models"].push_back(model_test_json(model));
+        precisions.push_back(std::move(json));
+    }
+    return {{"largest_error_eps", kernels::kLargestError_eps}, {"precisions", precisions}};
+}
+
 }  // namespace
 
 std::string version() { return BRDFIT_VERSION; }
@@ -148,12 +182,20 @@ std::string to_json(const kernels::Catalogue& catalogue) {
 
 std::string to_json(const kernels::Family& family) { return text_of(family_json(family)); }
 
-std::string service_json(const kernels::DeviceInfo& device, std::size_t largest_body) {
+std::string to_json(std::span<const kernels::SelfTest> tests) { return text_of(self_tests_json(tests)); }
+
+std::string service_json(const kernels::DeviceInfo& device, std::span<const kernels::SelfTest> tests,
+                         std::size_t largest_body) {
     return text_of({{"name", "brdfit"},
                     {"version", version()},
                     {"device", device_json(device)},
+                    {"selftest", self_tests_json(tests)},
                     {"limits", {{"body_bytes", largest_body}, {"samples", kMostSamples}, {"channels", kMostChannels}}},
-                    {"links", {{"models", "/v1/models"}, {"fits", "/v1/fits"}, {"health", "/health/live"}}}});
+                    {"links", {{"models", "/v1/models"}, {"fits", "/v1/fits"}, {"health", "/health/ready"}}}});
+}
+
+std::string ready_json(std::span<const kernels::SelfTest> tests, bool ready) {
+    return text_of({{"status", ready ? "ready" : "unfit"}, {"selftest", self_tests_json(tests)}});
 }
 
 }  // namespace brdfit::api

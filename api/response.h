@@ -1,9 +1,11 @@
 /// Answers as JSON text.
 #pragma once
 
+#include <span>
 #include <string>
 
 #include "kernels/model.h"
+#include "kernels/selftest.h"
 #include "optim/report.h"
 
 namespace brdfit::api {
@@ -18,7 +20,14 @@ std::string to_json(const optim::Report& report, const std::string& id);
 std::string to_json(const kernels::Catalogue& catalogue);
 std::string to_json(const kernels::Family& family);
 
+/// Self-tests by precision: `brdfit selftest --json`.
+std::string to_json(std::span<const kernels::SelfTest> tests);
+
 /// GET /v1: what this service is.
-std::string service_json(const kernels::DeviceInfo& device, std::size_t largest_body);
+std::string service_json(const kernels::DeviceInfo& device, std::span<const kernels::SelfTest> tests,
+                         std::size_t largest_body);
+
+/// GET /health/ready: whether the device is fit for work in some precision, and what its self-tests found.
+std::string ready_json(std::span<const kernels::SelfTest> tests, bool ready);
 
 }  // namespace brdfit::api

@@ -19,6 +19,7 @@
 #include "client/table.h"
 #include "kernels/engine.h"
 #include "kernels/model.h"
+#include "kernels/selftest.h"
 #include "optim/fit.h"
 #include "server/serve.h"
 
@@ -29,7 +30,7 @@ using namespace brdfit;
 struct FitArguments {
     std::string file;
     std::vector<std::string> options;  // key=value, as in the query of POST /v1/fits
-    std::string device = "auto";
+    kernels::EngineOptions engine;
     std::vector<std::filesystem::path> model_folders;
     std::string plots;
     bool json = false;
@@ -47,6 +48,23 @@ void write_file(const std::filesystem::path& path, const std::string& text) {
     if (!(out << text).flush()) throw std::runtime_error(path.string() + ": cannot be written");
 }
 
+/// Tests the device in what this fit uses: double where it may, as the report is computed in it, else single.
+void prove(kernels::Engine& engine, const api::FitRequest& request) {
+    using kernels::Precision;
+    std::vector<kernels::Family> families;
+    for (const optim::ModelRequest& model : request.models) families.push_back(*model.family);
+    const auto test = [&](Precision precision) {
+        const kernels::SelfTest result = kernels::prove(engine, families, precision, kernels::SelfTestForm::brief);
+        if (result.passed()) return;
+        std::fprintf(stderr, "brdfit: %s\n", result.reason().c_str());
+        for (const kernels::ModelTest& model : result.models)
+            for (const std::string& failure : model.failures()) std::fprintf(stderr, "    %s\n", failure.c_str());
+    };
+    if (engine.supports(Precision::double_precision)) test(Precision::double_precision);
+    if (!engine.supports(Precision::double_precision) || request.options.precision == Precision::single_precision)
+        test(Precision::single_precision);
+}
+
 /// False if no model could be fitted.
 bool fit(const FitArguments& arguments) {
     const kernels::Catalogue catalogue(arguments.model_folders);
@@ -61,8 +79,9 @@ bool fit(const FitArguments& arguments) {
     const bool is_json = std::filesystem::path(arguments.file).extension() == ".json";
     const api::FitRequest request =
         is_json ? api::read_fit_request(text, catalogue) : api::read_fit_request_csv(text, query, catalogue);
-    kernels::Engine engine({arguments.device, {}});
+    kernels::Engine engine(arguments.engine);
     optim::Fitter fitter(engine, std::thread::hardware_concurrency());
+    prove(engine, request);
     for (const optim::ModelRequest& model : request.models) fitter.warm_up(*model.family);
     const optim::Report report = fitter.fit(request.dataset, request.models, request.options);
     if (arguments.json) std::fputs(api::to_json(report, "local").c_str(), stdout);
@@ -100,6 +119,17 @@ void list_devices() {
                     device.name.c_str(), device.platform.c_str(), device.version.c_str());
 }
 
+/// False if the device failed.
+bool self_test(const kernels::EngineOptions& options, const std::vector<std::filesystem::path>& model_folders,
+               bool json) {
+    const kernels::Catalogue catalogue(model_folders);
+    kernels::Engine engine(options);
+    const auto tests = kernels::prove(engine, catalogue.families(), kernels::SelfTestForm::whole);
+    if (json) std::fputs(api::to_json(tests).c_str(), stdout);
+    else std::printf("%s\n%s", engine.device().name.c_str(), client::table(tests).c_str());
+    return std::all_of(tests.begin(), tests.end(), [](const kernels::SelfTest& test) { return test.passed(); });
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -129,20 +159,29 @@ int main(int argc, char** argv) {
     std::vector<std::filesystem::path> folders;
     CLI::App* models = app.add_subcommand("models", "Print the models as JSON");
     CLI::App* devices = app.add_subcommand("devices", "List OpenCL devices, the preferred one first");
-    for (CLI::App* command : {serve, fit_command, models})
+    CLI::App* self_test_command =
+        app.add_subcommand("selftest", "Compare the device with references: worst errors per model and precision");
+    bool self_test_json = false;
+    self_test_command->add_flag("--json", self_test_json, "Print JSON, as GET /v1 has it, instead of a table");
+    for (CLI::App* command : {serve, fit_command, models, self_test_command})
         command->add_option("--models", folders, "Folder with further model files (*.cl); may be given again")
             ->allow_extra_args(false)
             ->check(CLI::ExistingDirectory);
-    for (CLI::App* command : {serve, fit_command})
-        command->add_option("--device", serve_options.device, "auto, cpu, gpu, or a part of the device's name")
+    kernels::EngineOptions engine_options;
+    for (CLI::App* command : {serve, fit_command, self_test_command}) {
+        command->add_option("--device", engine_options.device, "auto, cpu, gpu, or a part of the device's name")
             ->capture_default_str();
+        command->add_option("--build-options", engine_options.build_options,
+                            "Further options for the OpenCL compiler, e.g. --build-options=-cl-fast-relaxed-math");
+    }
     CLI11_PARSE(app, argc, argv);
 
     serve_options.model_folders = fit_arguments.model_folders = folders;
-    fit_arguments.device = serve_options.device;
+    serve_options.engine = fit_arguments.engine = engine_options;
     try {
         if (serve->parsed()) server::serve(serve_options);
         if (fit_command->parsed() && !fit(fit_arguments)) return 1;
+        if (self_test_command->parsed() && !self_test(engine_options, folders, self_test_json)) return 1;
         if (models->parsed()) std::fputs(api::to_json(kernels::Catalogue(folders)).c_str(), stdout);
         if (devices->parsed()) list_devices();
     } catch (const api::Refusal& refusal) {

@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include "api/names.h"
+
 namespace brdfit::client {
 namespace {
 
@@ -16,7 +18,31 @@ std::string parameters(const optim::Fit& fit) {
     return text;
 }
 
+/// Errors of a model without points are not known.
+std::string eps(const kernels::ModelTest& test, const kernels::WorstError& error) {
+    return test.points == 0 ? "-" : fmt::format("{:.2f}", error.eps);
+}
+
+std::string verdict(const kernels::ModelTest& test) {
+    if (!test.passed()) return "FAILED";
+    return test.points == 0 ? "no points" : "passed";
+}
+
 }  // namespace
+
+std::string table(std::span<const kernels::SelfTest> tests) {
+    std::string text = fmt::format("  {:<14} {:<9} {:>6} {:>10} {:>10} {:>8}  {}\n", "model", "precision", "points",
+                                   "value, eps", "slope, eps", "ms", "verdict");
+    for (const kernels::SelfTest& test : tests)
+        for (const kernels::ModelTest& model : test.models) {
+            text += fmt::format("  {:<14} {:<9} {:>6} {:>10} {:>10} {:>8.1f}  {}\n",
+                                kernels::variant_name(model.model, model.lobes),
+                                name_of(api::kPrecisions, test.precision), model.points, eps(model, model.value),
+                                eps(model, model.slope), model.time_ms, verdict(model));
+            for (const std::string& failure : model.failures()) text += "      " + failure + "\n";
+        }
+    return text;
+}
 
 std::string table(const optim::Report& report) {
     std::string text;
@@ -26,10 +52,10 @@ std::string table(const optim::Report& report) {
         text += fmt::format("  {:>4}  {:<14} {:>11} {:>8} {:>8}  {}\n", "rank", "model", "loss", "decades", "ms",
                             "parameters");
         for (const optim::Fit& fit : channel.fits) {
-            const std::string name = fit.lobes > 0 ? fmt::format("{} ({})", fit.model, fit.lobes) : fit.model;
             const std::string decades = fit.log10_rmse ? fmt::format("{:.3f}", *fit.log10_rmse) : "-";
-            text += fmt::format("  {:>4}  {:<14} {:>11.5g} {:>8} {:>8.1f}  {}\n", fit.rank, name, fit.loss, decades,
-                                1e3 * fit.search.time_s, parameters(fit));
+            text += fmt::format("  {:>4}  {:<14} {:>11.5g} {:>8} {:>8.1f}  {}\n", fit.rank,
+                                kernels::variant_name(fit.model, fit.lobes), fit.loss, decades, 1e3 * fit.search.time_s,
+                                parameters(fit));
             for (const std::string& warning : fit.warnings) text += fmt::format("{:>22}{}\n", "", warning);
         }
         for (const optim::Failure& failure : channel.failures)

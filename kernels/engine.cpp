@@ -94,7 +94,7 @@ std::string program_text(const Model& model, Precision precision, unsigned lanes
 }
 
 unsigned Engine::Impl::lanes(Precision precision) const {
-    if (forced_lanes) return *forced_lanes;
+    if (options.lanes) return *options.lanes;
     if (info.type != "cpu") return 1;
     const unsigned native = precision == Precision::double_precision
                                 ? device.getInfo<CL_DEVICE_NATIVE_VECTOR_WIDTH_DOUBLE>()
@@ -104,19 +104,29 @@ unsigned Engine::Impl::lanes(Precision precision) const {
     return 1;
 }
 
+std::optional<std::string> Engine::Impl::refusal(Precision precision) const {
+    if (precision == Precision::double_precision && !info.has_double)
+        return "the device computes in single precision only";
+    const std::lock_guard lock(withdrawn_mutex);
+    const auto it = withdrawn.find(precision);
+    return it == withdrawn.end() ? std::nullopt : std::optional(it->second);
+}
+
 cl::Program Engine::Impl::program(const Model& model, Precision precision) {
+    if (const auto reason = refusal(precision)) throw PrecisionError(*reason);
     const std::string text = program_text(model, precision, lanes(precision));
     const std::lock_guard lock(mutex);
     if (const auto it = programs.find(text); it != programs.end()) return it->second;
     try {
         cl::Program program(context, text);
-        std::string options = "-cl-std=CL1.2";
+        std::string flags = "-cl-std=CL1.2";
         if (precision == Precision::single_precision) {
-            options += " -cl-single-precision-constant";
+            flags += " -cl-single-precision-constant";
             if (device.getInfo<CL_DEVICE_SINGLE_FP_CONFIG>() & CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT)
-                options += " -cl-fp32-correctly-rounded-divide-sqrt";
+                flags += " -cl-fp32-correctly-rounded-divide-sqrt";
         }
-        program.build({device}, options.c_str());
+        if (!options.build_options.empty()) flags += " " + options.build_options;
+        program.build({device}, flags.c_str());
         programs.emplace(text, program);
         return program;
     } catch (const cl::BuildError& error) {
@@ -133,7 +143,7 @@ Engine::Engine(const EngineOptions& options) : impl_(std::make_unique<Impl>()) {
         impl_->device = choose(options.device);
         impl_->info = describe(impl_->device);
         impl_->context = cl::Context(impl_->device);
-        impl_->forced_lanes = options.lanes;
+        impl_->options = options;
     } catch (const cl::Error& error) {
         throw device_error(error);
     }
@@ -144,11 +154,22 @@ Engine::~Engine() = default;
 const DeviceInfo& Engine::device() const { return impl_->info; }
 
 Precision Engine::best_precision() const {
-    return impl_->info.has_double ? Precision::double_precision : Precision::single_precision;
+    const auto no_double = refusal(Precision::double_precision);
+    if (!no_double) return Precision::double_precision;
+    if (const auto no_single = refusal(Precision::single_precision))
+        throw PrecisionError(*no_double + "; " + *no_single);
+    return Precision::single_precision;
 }
 
-bool Engine::supports(Precision precision) const {
-    return precision == Precision::single_precision || impl_->info.has_double;
+bool Engine::supports(Precision precision) const { return !refusal(precision); }
+
+bool Engine::usable() const { return supports(Precision::double_precision) || supports(Precision::single_precision); }
+
+std::optional<std::string> Engine::refusal(Precision precision) const { return impl_->refusal(precision); }
+
+void Engine::withdraw(Precision precision, std::string reason) {
+    const std::lock_guard lock(impl_->withdrawn_mutex);
+    impl_->withdrawn[precision] = std::move(reason);
 }
 
 void Engine::prepare(const Model& model, Precision precision) { (void)impl_->program(model, precision); }

@@ -38,11 +38,20 @@ public:
     using std::runtime_error::runtime_error;
 };
 
+/// A precision that the device lacks or that was withdrawn; what() says why, in words for a user.
+class PrecisionError : public std::runtime_error {
+public:
+    using std::runtime_error::runtime_error;
+};
+
 struct EngineOptions {
     /// "auto" (a GPU with double precision, else a CPU, else any), "cpu", "gpu", or a part of the device's name.
     std::string device = "auto";
     /// Samples a work-item holds in a SIMD register: 1, 2, 4, 8 or 16. Unset: the device's native width, 1 on a GPU.
     std::optional<unsigned> lanes{};
+    /// Further options for the device's OpenCL compiler, separated by spaces, e.g. "-cl-fast-relaxed-math". Whether the
+    /// results still hold is what kernels/selftest.h tells.
+    std::string build_options{};
 };
 
 /// One device with a cache of programs by (model, precision). Safe to use from several threads; create the first one
@@ -56,10 +65,17 @@ public:
     Engine& operator=(const Engine&) = delete;
 
     [[nodiscard]] const DeviceInfo& device() const;
-    /// The most precise arithmetic the device has.
+    /// The most precise arithmetic that may be used. Throws PrecisionError if none may.
     [[nodiscard]] Precision best_precision() const;
+    /// Whether the device has that precision and it was not withdrawn.
     [[nodiscard]] bool supports(Precision precision) const;
-    /// Builds the program of the model unless it is cached. Throws BuildError, DeviceError.
+    /// Whether some precision may be used.
+    [[nodiscard]] bool usable() const;
+    /// Why a precision may not be used, in words for a user; nothing if it may.
+    [[nodiscard]] std::optional<std::string> refusal(Precision precision) const;
+    /// The precision may not be used from now on, for that reason. Evaluators that exist keep working.
+    void withdraw(Precision precision, std::string reason);
+    /// Builds the program of the model unless it is cached. Throws PrecisionError, BuildError, DeviceError.
     void prepare(const Model& model, Precision precision);
 
     struct Impl;

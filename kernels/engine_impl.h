@@ -13,12 +13,15 @@ struct Engine::Impl {
     cl::Device device;
     cl::Context context;
     DeviceInfo info;
-    std::optional<unsigned> forced_lanes;
+    EngineOptions options;
     std::mutex mutex;                             // guards programs; PoCL's compiler runs under it, one at a time
     std::map<std::string, cl::Program> programs;  // by program text and precision
+    mutable std::mutex withdrawn_mutex;           // guards withdrawn; not held while the compiler runs
+    std::map<Precision, std::string> withdrawn;   // why
 
     [[nodiscard]] unsigned lanes(Precision precision) const;
-    /// Throws BuildError, DeviceError.
+    [[nodiscard]] std::optional<std::string> refusal(Precision precision) const;
+    /// Throws PrecisionError, BuildError, DeviceError.
     cl::Program program(const Model& model, Precision precision);
 };
 

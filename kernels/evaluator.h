@@ -23,7 +23,7 @@ struct Batch {
 class Evaluator {
 public:
     /// Residuals are r = f - y, with weight w >= 0; all three have one entry a sample. For `loss` with `logarithmic`
-    /// y is ln of the measured value. Throws BuildError, DeviceError.
+    /// y is ln of the measured value. Throws PrecisionError, BuildError, DeviceError.
     Evaluator(Engine& engine, const Model& model, Precision precision, std::span<const Direction> directions,
               std::span<const double> y, std::span<const double> w);
     ~Evaluator();

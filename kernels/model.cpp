@@ -407,6 +407,10 @@ Model make_variant(const Header& header, std::size_t repeats, const std::string&
 
 }  // namespace
 
+std::string variant_name(const std::string& model, std::size_t repeats) {
+    return repeats == 0 ? model : model + " (" + std::to_string(repeats) + ")";
+}
+
 std::optional<std::size_t> Model::find(std::string_view parameter) const {
     for (std::size_t i = 0; i < parameters.size(); ++i)
         if (parameters[i].name == parameter) return i;

@@ -91,6 +91,9 @@ struct Model {
     [[nodiscard]] std::vector<double> coefficients(const std::vector<double>& parameters) const;
 };
 
+/// "ward", or "lafortune (2)" with two lobes: for people.
+std::string variant_name(const std::string& model, std::size_t repeats);
+
 /// A model file before the number of lobes is settled.
 struct Family {
     std::string name;

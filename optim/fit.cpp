@@ -377,6 +377,7 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
                   engine_.device(),
                   options.precision.value_or(engine_.best_precision()),
                   {}};
+    if (const auto reason = engine_.refusal(report.precision)) throw kernels::PrecisionError(*reason);
     const SearchControl control{
         options.seed, Clock::now() + std::chrono::duration_cast<Clock::duration>(options.time_limit), std::move(stop)};
     // Before anything runs: requests that cannot be met throw here, in the caller's thread.

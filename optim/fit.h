@@ -36,7 +36,7 @@ struct ModelRequest {
 struct FitOptions {
     Loss loss = Loss::cosine_l2;
     Effort effort = Effort::standard;
-    std::optional<kernels::Precision> precision{};  ///< none: the best the device has
+    std::optional<kernels::Precision> precision{};  ///< none: the best that may be used
     std::uint64_t seed = 1;
     std::chrono::duration<double> time_limit{30};  ///< of the whole request
 
@@ -72,11 +72,11 @@ public:
     Fitter& operator=(const Fitter&) = delete;
 
     /// Builds the programs of all variants of a model and runs each kernel once, so that no fit waits for a compiler.
-    /// Throws kernels::BuildError, kernels::DeviceError.
+    /// Throws kernels::PrecisionError, kernels::BuildError, kernels::DeviceError.
     void warm_up(const kernels::Family& family);
 
     /// Fits every model to every channel. A model that fails is in the report's failures. Throws
-    /// std::invalid_argument (see weigh) and InvalidBounds.
+    /// std::invalid_argument (see weigh), InvalidBounds and kernels::PrecisionError.
     Report fit(const Dataset& dataset, const std::vector<ModelRequest>& models, const FitOptions& options,
                std::stop_token stop = {});
 

@@ -47,15 +47,14 @@ double query_number(const std::string& key, const std::string& text) {
     return number;
 }
 
-/// The precision asked for, or the best; refused where the device lacks it.
+/// The precision asked for, or the best; refused where it may not be used.
 kernels::Precision supported(const kernels::Engine& engine, std::optional<kernels::Precision> wanted,
                              const std::string& pointer) {
+    if (!engine.usable())
+        throw Refusal({503, "unfit-device", "the device failed its self-test; /health/ready tells where", {}});
     const kernels::Precision precision = wanted.value_or(engine.best_precision());
-    if (!engine.supports(precision))
-        throw Refusal({422,
-                       "invalid-request",
-                       pointer + ": the device computes in single precision only",
-                       {{pointer, "unsupported", "the device computes in single precision only", {}, {}}}});
+    if (const auto reason = engine.refusal(precision))
+        throw Refusal({422, "invalid-request", pointer + ": " + *reason, {{pointer, "unsupported", *reason, {}, {}}}});
     return precision;
 }
 
@@ -122,7 +121,9 @@ Response Routes::dispatch(const Request& request) const {
     }
     Response response;
     if (is({"health", "live"})) response = {200, "application/json", "{\"status\":\"live\"}\n", {}};
-    else if (is({"v1"}) || is({""})) response.body = api::service_json(fitter_.engine().device(), kLargestBody);
+    else if (is({"health", "ready"})) response = get_ready();
+    else if (is({"v1"}) || is({""}))
+        response.body = api::service_json(fitter_.engine().device(), self_tests_, kLargestBody);
     else if (is({"v1", "models"})) response.body = api::to_json(catalogue_);
     else if (is({"v1", "models", "*"})) response = get_models(parts[2]);
     else if (is({"v1", "fits", "*"}) || is({"v1", "fits", "*", "result"})) response = get_result(parts[2]);
@@ -170,6 +171,15 @@ Response Routes::post_evaluate(const Request& request) const {
                                                      evaluate.directions, evaluate.gradient);
     Response response;
     response.body = api::to_json(evaluate, values, precision);
+    return response;
+}
+
+Response Routes::get_ready() const {
+    if (stop_.stop_requested()) throw Refusal({503, "stopping", "the service is stopping", {}});
+    const bool ready = fitter_.engine().usable();
+    Response response;
+    response.status = ready ? 200 : 503;
+    response.body = api::ready_json(self_tests_, ready);
     return response;
 }
 

@@ -6,10 +6,12 @@
 #include <memory>
 #include <stop_token>
 #include <string>
+#include <vector>
 
 #include "api/problem.h"
 #include "api/request.h"
 #include "kernels/model.h"
+#include "kernels/selftest.h"
 #include "optim/fit.h"
 #include "server/job.h"
 
@@ -39,8 +41,10 @@ std::string accepted_types(const std::string& path);
 
 class Routes {
 public:
-    Routes(const kernels::Catalogue& catalogue, optim::Fitter& fitter, JobStore& store, std::stop_token stop)
-        : catalogue_(catalogue), fitter_(fitter), store_(store), stop_(std::move(stop)) {}
+    /// self_tests: what they found by the time of the first request.
+    Routes(const kernels::Catalogue& catalogue, optim::Fitter& fitter, JobStore& store,
+           const std::vector<kernels::SelfTest>& self_tests, std::stop_token stop)
+        : catalogue_(catalogue), fitter_(fitter), store_(store), self_tests_(self_tests), stop_(std::move(stop)) {}
 
     /// Never throws: what goes wrong is a problem+json answer, and a line in the log.
     [[nodiscard]] Response handle(const Request& request) const;
@@ -49,6 +53,7 @@ private:
     [[nodiscard]] Response dispatch(const Request& request) const;
     [[nodiscard]] Response post_fit(const Request& request) const;
     [[nodiscard]] Response post_evaluate(const Request& request) const;
+    [[nodiscard]] Response get_ready() const;
     [[nodiscard]] Response get_models(const std::string& name) const;
     [[nodiscard]] Response get_result(const std::string& id) const;
     [[nodiscard]] Response get_plot(const std::string& id, const std::string& file, const api::Query& query) const;
@@ -57,6 +62,7 @@ private:
     const kernels::Catalogue& catalogue_;
     optim::Fitter& fitter_;
     JobStore& store_;
+    const std::vector<kernels::SelfTest>& self_tests_;
     std::stop_token stop_;
 };
 

@@ -15,6 +15,7 @@
 #include "api/response.h"
 #include "kernels/engine.h"
 #include "kernels/model.h"
+#include "kernels/selftest.h"
 #include "optim/fit.h"
 #include "server/http.h"
 #include "server/job.h"
@@ -25,6 +26,14 @@ namespace {
 
 /// Finished fits are kept for their plots: about 150 KB each for 300 samples.
 constexpr std::size_t kKeptBytes = std::size_t{256} << 20;
+
+void log(const kernels::SelfTest& test) {
+    if (test.passed()) return;
+    spdlog::error("{}", test.reason());
+    for (const kernels::ModelTest& model : test.models)
+        for (const std::string& failure : model.failures())
+            spdlog::error("{}: {}", kernels::variant_name(model.model, model.lobes), failure);
+}
 
 bool is_loopback(const std::string& host) { return host == "localhost" || host == "::1" || host.starts_with("127."); }
 
@@ -41,15 +50,19 @@ void serve(const ServeOptions& options) {
     pthread_sigmask(SIG_BLOCK, &signals, nullptr);  // inherited by every thread: one waits for them
 
     const kernels::Catalogue catalogue(options.model_folders);
-    kernels::Engine engine({options.device, {}});
+    kernels::Engine engine(options.engine);
     MemoryJobStore store(kKeptBytes);
     const unsigned threads = options.threads != 0 ? options.threads : std::thread::hardware_concurrency();
     optim::Fitter fitter(engine, threads);
     std::stop_source stop;
-    const Routes routes(catalogue, fitter, store, stop.get_token());
+    std::vector<kernels::SelfTest> self_tests;
+    const Routes routes(catalogue, fitter, store, self_tests, stop.get_token());
     HttpServer http(routes);
     const int port = http.bind(options.host, options.port);  // a taken port is told before the compiler runs
-    for (const kernels::Family& family : catalogue.families()) fitter.warm_up(family);
+    self_tests = kernels::prove(engine, catalogue.families(), kernels::SelfTestForm::brief);
+    for (const kernels::SelfTest& test : self_tests) log(test);
+    if (engine.usable())
+        for (const kernels::Family& family : catalogue.families()) fitter.warm_up(family);
 
     std::atomic<bool> signalled = false;
     std::jthread waiter([&](const std::stop_token& served) {

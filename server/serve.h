@@ -5,12 +5,14 @@
 #include <string>
 #include <vector>
 
+#include "kernels/engine.h"
+
 namespace brdfit::server {
 
 struct ServeOptions {
     std::string host = "127.0.0.1";  ///< a loopback address
     int port = 8080;                 ///< 0: a free one
-    std::string device = "auto";
+    kernels::EngineOptions engine{};
     std::vector<std::filesystem::path> model_folders{};
     unsigned threads = 0;  ///< searches at once; 0: one a core
 };

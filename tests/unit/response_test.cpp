@@ -53,6 +53,17 @@ optim::Report report() {
             {channel}};
 }
 
+/// One that passed, one that failed in two ways.
+std::vector<kernels::SelfTest> self_tests() {
+    return {{kernels::Precision::double_precision,
+             kernels::SelfTestForm::brief,
+             {{"ward", 0, 8, {2.5, "somewhere"}, {32, "alpha at x"}, "", 3.5}, {"mine", 0, 0, {}, {}, "", 0}}},
+            {kernels::Precision::single_precision,
+             kernels::SelfTestForm::whole,
+             {{"lafortune", 2, 50, {1, "y"}, {kInfinity, "n at x"}, "", 2},
+              {"ward", 0, 0, {}, {}, "a driver's words", 4}}}};
+}
+
 Json answer(const optim::Report& r) {
     const std::string text = to_json(r, "an-id");
     EXPECT_EQ(text.back(), '\n');
@@ -172,9 +183,28 @@ TEST(Response, ListsTheModels) {
 }
 
 TEST(Response, SaysWhatTheServiceIs) {
-    const Json body = Json::parse(service_json(report().device, 1024));
-    EXPECT_THAT(keys(body), ElementsAre("name", "version", "device", "limits", "links"));
+    const Json body = Json::parse(service_json(report().device, self_tests(), 1024));
+    EXPECT_THAT(keys(body), ElementsAre("name", "version", "device", "selftest", "limits", "links"));
+    EXPECT_EQ(body["selftest"], Json::parse(to_json(self_tests())));
     EXPECT_EQ(body["limits"]["body_bytes"], 1024);
+}
+
+TEST(Response, SaysWhatTheSelfTestsFound) {
+    EXPECT_EQ(Json::parse(to_json(self_tests())), Json::parse(R"({"largest_error_eps": 32.0, "precisions": [
+        {"precision": "double", "form": "brief", "passed": true, "time_ms": 3.5, "models": [
+            {"model": "ward", "points": 8, "value": {"eps": 2.5}, "slope": {"eps": 32.0}, "passed": true, "time_ms": 3.5},
+            {"model": "mine", "points": 0, "time_ms": 0.0}]},
+        {"precision": "single", "form": "whole", "passed": false,
+         "reason": "the device failed the self-test in single precision (32 eps are allowed): lafortune (2) is off by inf eps, ward cannot be computed",
+         "time_ms": 6.0, "models": [
+            {"model": "lafortune", "lobes": 2, "points": 50, "value": {"eps": 1.0}, "slope": {"eps": null, "at": "n at x"},
+             "passed": false, "time_ms": 2.0},
+            {"model": "ward", "points": 0, "passed": false, "time_ms": 4.0}]}]})"));
+    EXPECT_THAT(to_json(self_tests()), Not(HasSubstr("driver's")));
+    const Json ready = Json::parse(ready_json(self_tests(), true));
+    EXPECT_EQ(ready["status"], "ready");
+    EXPECT_EQ(ready["selftest"], Json::parse(to_json(self_tests())));
+    EXPECT_EQ(Json::parse(ready_json(self_tests(), false))["status"], "unfit");
 }
 
 TEST(Problem, HasTheMembersOfRfc9457) {
