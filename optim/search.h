@@ -54,6 +54,31 @@ struct SearchResult {
     std::vector<Minimum> minima;  ///< distinct ends of local searches, best first
 };
 
+/// The projected loss (Evaluator::project) over a space, divided by scale2 > 0, as an objective. References must
+/// outlive it. All members throw what the evaluator throws.
+class ProjectedLoss {
+public:
+    ProjectedLoss(kernels::Evaluator& evaluator, const SearchSpace& space, double scale2)
+        : evaluator_(evaluator), space_(space), scale2_(scale2) {}
+
+    /// The value at u, and its gradient unless that is empty.
+    double operator()(std::span<const double> u, std::span<double> gradient);
+    /// Values at many points, in launches small enough to look at the clock between them; points left when time runs
+    /// out have the largest value.
+    std::vector<double> screen(const std::vector<std::vector<double>>& points, const SearchControl& control);
+    /// Fills in the loss, not divided, and the coefficients at minimum.u.
+    void complete(Minimum& minimum);
+
+    [[nodiscard]] std::size_t evaluations() const { return evaluations_; }
+
+private:
+    kernels::Evaluator& evaluator_;
+    const SearchSpace& space_;
+    double scale2_;
+    kernels::Batch batch_;
+    std::size_t evaluations_ = 0;
+};
+
 /// Minimises the projected loss (Evaluator::project) over the space. `seeds` are screened apart, and the best of them
 /// descend always: the result is no worse than any seed. scale2 > 0 makes the objective of order one: loss2/scale2.
 /// Throws what the evaluator throws.
