@@ -504,5 +504,105 @@ INSTANTIATE_TEST_SUITE_P(Datasets, Extremes, testing::ValuesIn(extremes()),
 
 TEST_P(Extremes, AreFittedOrRefusedWithAReason) { expect_fitted_or_refused(GetParam().dataset, GetParam().losses); }
 
+// ---- data in another unit ----
+
+/// The fit of factor * y is that of y with its heights multiplied, where no upper bound is in the way.
+TEST(ScaleOfTheData, IsTheScaleOfTheFit) {
+    struct Case {
+        std::string model;
+        std::vector<double> parameters;
+    };
+    const std::vector<Case> cases{{"lambert", {0.3}},
+                                  {"phong", {0.3, 0.2, 67.8}},
+                                  {"ward", {0.2, 0.1, 0.2}},
+                                  {"lafortune_1", {0.1, -1.02, 0.98, 50.0}}};
+    for (const auto& [name, parameters] : cases) {
+        const kernels::Model& model = variant(name);
+        ModelRequest wide = request(name);
+        for (std::size_t i = 0; i < model.parameters.size(); ++i)
+            if (model.is_linear(i)) wide.bounds[model.parameters[i].name] = {0, 1e12};
+        for (const optim::LossName& loss : optim::kLossNames) {
+            FitOptions options;
+            options.loss = loss.loss;
+            const Channel channel = made(name, parameters, kScans, {0.05, 0});
+            const Fit fit = only(fitter().fit(dataset_of(channel), {wide}, options));
+            for (const double factor : {1e-30, 1e-4, 1e6}) {
+                SCOPED_TRACE(name + ", " + std::string(loss.name) + ", times " + std::to_string(factor));
+                Channel scaled = channel;
+                for (auto& s : scaled.samples) {
+                    s.brdf *= factor;
+                    s.sigma = *s.sigma * factor;
+                }
+                const Fit other = only(fitter().fit(dataset_of(scaled), {wide}, options));
+                EXPECT_NEAR(other.relative_loss, fit.relative_loss, 1e-9 * fit.relative_loss);
+                EXPECT_EQ(other.search.stop_reason, fit.search.stop_reason);
+                for (std::size_t i = 0; i < parameters.size(); ++i) {
+                    const bool length = model.parameters[i].name.rfind("c_", 0) == 0;
+                    const double n = fit.parameters.back().value;
+                    const double expected = fit.parameters[i].value * (model.is_linear(i) ? factor
+                                                                       : length           ? std::pow(factor, 1 / n)
+                                                                                          : 1);
+                    EXPECT_NEAR(other.parameters[i].value, expected, 2e-5 * std::abs(expected))
+                        << model.parameters[i].name;
+                    EXPECT_EQ(other.parameters[i].at_bound, fit.parameters[i].at_bound) << model.parameters[i].name;
+                }
+            }
+        }
+    }
+}
+
+/// Single precision holds neither 1e-60 nor 1e60, which are squares of such data.
+TEST(ScaleOfTheData, IsNoMatterInSinglePrecision) {
+    FitOptions options;
+    options.precision = kernels::Precision::single_precision;
+    const Channel channel = made("ward", {0.2, 0.1, 0.2}, kScans, {0.02, 0});
+    for (const Loss loss : {Loss::cosine_l2, Loss::log, Loss::relative, Loss::chi2}) {
+        options.loss = loss;
+        const Fit fit = only(fitter().fit(dataset_of(channel), {request("ward")}, options));
+        Channel scaled = channel;
+        for (auto& s : scaled.samples) {
+            s.brdf *= 1e-30;
+            s.sigma = *s.sigma * 1e-30;
+        }
+        const Fit other = only(fitter().fit(dataset_of(scaled), {request("ward")}, options));
+        EXPECT_NEAR(other.relative_loss, fit.relative_loss, 1e-4 * fit.relative_loss);
+        EXPECT_NEAR(other.parameters[2].value, fit.parameters[2].value, 1e-3 * fit.parameters[2].value);
+    }
+}
+
+// ---- what is said of bounds ----
+
+std::string all_of(const std::vector<std::string>& warnings) {
+    std::string text;
+    for (const std::string& warning : warnings) text += warning + "\n";
+    return text;
+}
+
+TEST(BoundsInWords, SayWhoseTheyAre) {
+    const auto directions = scan_directions({15, 45, 75}, 6);
+    const Dataset bright = dataset_of(make_channel(directions, std::vector<double>(directions.size(), 5.0)));
+    EXPECT_NE(all_of(only(fitter().fit(bright, {request("lambert")}, {})).warnings)
+                  .find("k_d stands at its default "
+                        "bound 1\n"),
+              std::string::npos);
+    const Dataset ward = dataset_of(made("ward", {0.2, 0.1, 0.2}, directions, {0.02, 0}));
+    ModelRequest narrow = request("ward");
+    narrow.bounds = {{"alpha", {0.3, 1}}};
+    const Fit fit = only(fitter().fit(ward, {narrow}, {}));
+    EXPECT_TRUE(fit.parameters[2].at_bound);
+    EXPECT_FALSE(fit.parameters[2].std_error);
+    EXPECT_NE(all_of(fit.warnings).find("alpha stands at its bound in the request, 0.3\n"), std::string::npos);
+}
+
+TEST(BoundsInWords, AZeroIsNaturalAndALobeOfZeroIsNamed) {
+    const auto directions = scan_directions({15, 45, 75}, 6);
+    const Dataset dark = dataset_of(make_channel(directions, std::vector<double>(directions.size(), -0.01)));
+    const Fit fit = only(fitter().fit(dark, {request("ward")}, {}));
+    const std::string words = all_of(fit.warnings);
+    EXPECT_NE(words.find("rho_s stands at its natural limit 0\n"), std::string::npos) << words;
+    EXPECT_NE(words.find("the data do not determine alpha\n"), std::string::npos) << words;
+    EXPECT_NE(words.find("lobe is zero at every sample\n"), std::string::npos) << words;
+}
+
 }  // namespace
 }  // namespace brdfit::tests
