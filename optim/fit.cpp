@@ -20,6 +20,8 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using kernels::Model;
 
+/// Data of a smaller rms are refused: losses are told in the data's own unit.
+constexpr double kSmallestData = 1e-100;
 /// Parts of the data's size that are rounding.
 constexpr double kUnseen = 1e-12;
 /// A search's loss that its reported parameters miss by this part was found beyond their digits.
@@ -213,7 +215,7 @@ void add_parameters(const Work& work, kernels::Precision precision, const Weight
         FittedParameter parameter;
         parameter.name = declared.name;
         parameter.unit = wire_unit(declared, work.channel);
-        parameter.value = value / unit;
+        parameter.value = value / unit + 0.0;  // no -0
         parameter.fixed = bounds[i].fixed();
         parameter.at_bound = !parameter.fixed && is_at_bound(declared, model.is_linear(i), bounds[i], value);
         fit.parameters.push_back(std::move(parameter));
@@ -338,6 +340,8 @@ Fit fit_model(const Work& work) {
     const kernels::Family& family = *work.request.family;
     const bool automatic = family.repeat && !work.request.lobes;
     const kernels::Precision precision = work.options.precision.value_or(work.engine.best_precision());
+    if (const double rms = data_rms(work.channel); rms > 0 && rms < kSmallestData)
+        throw SearchError("the BRDF values are too small, below 1e-100, where squares vanish: use another unit");
     std::optional<Optimum> smaller;
     std::optional<Fit> fit;
     for (std::size_t lobes = family.repeat ? family.repeat->min : 1; lobes <= work.request.most_lobes(); ++lobes) {
