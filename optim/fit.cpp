@@ -250,7 +250,7 @@ void add_parameters(const Work& work, kernels::Precision precision, const Weight
     }
     if (!without.empty())
         fit.warnings.push_back("no standard error of " + without + ": no more samples than parameters");
-    add_unseen_terms(work, precision, optimum, fit);
+    if (!fit.warnings.empty()) add_unseen_terms(work, precision, optimum, fit);  // some parameter knows it too
 }
 
 /// Lobes in falling order of their exponent, unless the request speaks of single lobes.
@@ -333,6 +333,11 @@ Fit describe(const Work& work, const Prepared& prepared, Optimum optimum) {
     return fit;
 }
 
+/// Why a search is over.
+StopReason stop_of(const SearchControl& control) {
+    return control.stop.stop_requested() ? StopReason::cancelled : StopReason::time_limit;
+}
+
 /// Fits the request's variants from the fewest lobes up, each from the one before, and returns the last; with "auto",
 /// the last for which there is strong evidence.
 Fit fit_model(const Work& work) {
@@ -364,6 +369,10 @@ Fit fit_model(const Work& work) {
         if (automatic && fit && !(next.bic < fit->bic - kEvidence)) break;
         fit = std::move(next);
         smaller = optimum;
+        if (automatic && lobes < work.request.most_lobes() && work.control.over()) {
+            fit->search.stop_reason = stop_of(work.control);
+            break;
+        }
     }
     fit->search.time_s = std::chrono::duration<double>(Clock::now() - start).count();
     return std::move(*fit);

@@ -71,7 +71,7 @@ std::vector<Start> special_cases(const Task& task, const std::vector<Interval>& 
             narrower = narrower || !bounds[parameter].fixed();
             narrowed[parameter] = {value, value};
         }
-        if (!possible || !narrower) continue;
+        if (!possible || !narrower || task.control.over()) continue;
         Task quick = task;  // a start among others needs no certainty
         quick.effort = Effort::draft;
         const Optimum optimum = find_optimum(quick, narrowed, nullptr, SpecialCases::pass_over);
@@ -251,10 +251,13 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
         search_projected(evaluator, space, budget(task.effort, space.dimension()), task.control, scale2, seeds);
     found.best.loss2 /= scale2;
     Optimum optimum = optimum_at(task, space, found.best, found.record);
-    const bool settles = with_special_cases == SpecialCases::start_from;  // a special case is a start among others
+    // A special case is a start among others.
+    const bool settles = with_special_cases == SpecialCases::start_from && !task.control.over();
     if (task.weighted.logarithmic) {
         known.resize(fixed_starts);
+        ProjectedLoss problem(evaluator, space, scale2);
         for (std::size_t i = 0; i < std::min(kPolished, found.minima.size()); ++i) {
+            problem.complete(found.minima[i]);
             Start start;
             start.parameters = space.parameters(found.minima[i].u, found.minima[i].coefficients, start.scale);
             known.push_back(std::move(start));

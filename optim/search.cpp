@@ -25,10 +25,6 @@ bool all_finite(std::span<const double> values) {
     return std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
 }
 
-bool out_of_time(const SearchControl& control) {
-    return control.stop.stop_requested() || Clock::now() >= control.deadline;
-}
-
 /// Carries an objective through NLopt's C interface. NLopt turns foreign exceptions into a bare failure, so they are
 /// kept here and thrown again; it may end away from its best point, so that is kept too.
 struct Adapter {
@@ -194,7 +190,7 @@ std::vector<double> ProjectedLoss::screen(const std::vector<std::vector<double>>
     constexpr std::size_t kLaunch = 1'000'000;  // candidates x samples: under a second on one core
     const std::size_t most = std::max<std::size_t>(1, kLaunch / std::max<std::size_t>(1, evaluator_.samples()));
     std::vector<double> values(points.size(), std::numeric_limits<double>::max());
-    for (std::size_t first = 0; first < points.size() && !out_of_time(control); first += most) {
+    for (std::size_t first = 0; first < points.size() && !control.over(); first += most) {
         const std::size_t count = std::min(most, points.size() - first);
         std::vector<double> parameters, lower, upper;
         for (std::size_t i = first; i < first + count; ++i) {
@@ -276,7 +272,6 @@ SearchResult search_projected(kernels::Evaluator& evaluator, const SearchSpace& 
                                        [&](const Minimum& m) { return distance(m.u, end.u) < 1e-3; });
         if (!known) result.minima.push_back(end);
     }
-    for (Minimum& minimum : result.minima) problem.complete(minimum);
     result.best = std::move(descents.best);
     problem.complete(result.best);
     result.record = {descents.ends.size(), descents.agreed, problem.evaluations(), result.best.stop, 0};

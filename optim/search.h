@@ -38,6 +38,9 @@ struct SearchControl {
     std::uint64_t seed = 1;  ///< shifts the low-discrepancy set
     std::chrono::steady_clock::time_point deadline = std::chrono::steady_clock::time_point::max();
     std::stop_token stop{};
+
+    /// Time has run out, or a stop was asked for.
+    [[nodiscard]] bool over() const { return stop.stop_requested() || std::chrono::steady_clock::now() >= deadline; }
 };
 
 /// Where a search ended.
@@ -51,7 +54,7 @@ struct Minimum {
 struct SearchResult {
     Minimum best;
     SearchRecord record;          ///< without the time
-    std::vector<Minimum> minima;  ///< distinct ends of local searches, best first
+    std::vector<Minimum> minima;  ///< distinct ends of local searches, best first; not completed
 };
 
 /// The projected loss (Evaluator::project) over a space, divided by scale2 > 0, as an objective. References must

@@ -138,10 +138,6 @@ std::vector<double> moved(std::span<const double> u, std::span<const double> ste
     return point;
 }
 
-bool out_of_time(const SearchControl& control) {
-    return control.stop.stop_requested() || std::chrono::steady_clock::now() >= control.deadline;
-}
-
 }  // namespace
 
 Resolution resolution(kernels::Precision precision) {
@@ -197,7 +193,7 @@ Minimum settle(const Objective& objective, Minimum end, const Resolution& resolu
     };
     for (int round = 0; round < kRounds; ++round) {
         if (control.stop.stop_requested()) return stopped(StopReason::cancelled);
-        if (out_of_time(control)) return stopped(StopReason::time_limit);
+        if (control.over()) return stopped(StopReason::time_limit);
         const Stationarity look = examine(objective, end.u, resolution);
         const double negligible = resolution.negligible(look.value);
         const bool minimum_of_model = look.promised <= negligible;
