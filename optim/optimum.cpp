@@ -160,6 +160,8 @@ Optimum optimum_at(const Task& task, const SearchSpace& space, const Minimum& en
     Optimum optimum{&task.model, {}, 1, end.loss2, record};
     optimum.parameters = space.parameters(end.u, end.coefficients, optimum.scale);
     optimum.record.stop_reason = end.stop;
+    if (end.stop == StopReason::converged && SearchSpace::out_of_range(end.coefficients))
+        optimum.record.stop_reason = StopReason::roundoff;
     return optimum;
 }
 

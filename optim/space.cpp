@@ -437,6 +437,11 @@ std::vector<double> SearchSpace::parameters(std::span<const double> u, std::span
     return result;
 }
 
+bool SearchSpace::out_of_range(std::span<const double> coefficients) {
+    return std::any_of(coefficients.begin(), coefficients.end(),
+                       [](double c) { return at_upper(c, kLargestCoefficient); });
+}
+
 std::vector<double> SearchSpace::coordinates(const std::vector<double>& parameters, double scale) const {
     std::vector<double> u(dimension_);
     std::size_t first = 0;

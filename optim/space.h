@@ -70,6 +70,8 @@ public:
     /// The model's parameters at u and c, within their bounds, and the scale.
     [[nodiscard]] std::vector<double> parameters(std::span<const double> u, std::span<const double> coefficients,
                                                  double& scale) const;
+    /// A coefficient stands at the end of what is searched (1e100), which is no bound of its parameters.
+    [[nodiscard]] static bool out_of_range(std::span<const double> coefficients);
     /// A point whose candidate has (nearly) these parameters, clamped into the cube.
     [[nodiscard]] std::vector<double> coordinates(const std::vector<double>& parameters, double scale) const;
     /// Where starts should lie: [min, max] within [0, 1], one for each coordinate.

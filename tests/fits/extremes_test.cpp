@@ -345,7 +345,7 @@ void expect_sound(const Dataset& dataset, const ModelRequest& request, const Fit
         EXPECT_GE(near, loss2 * (1 - 1e-6) - rounding) << "roundoff, but loss^2 falls by " << 1 - near / loss2;
     }
     double far = near;
-    const std::size_t descents = count_from("BRDFIT_DESCENTS", long_form() ? 50 : 3);
+    const std::size_t descents = count_from("BRDFIT_DESCENTS", long_form() ? 10 : 3);
     for (std::size_t i = 0; i < descents; ++i) far = std::min(far, judge.descend(judge.random_start(random), 25));
     EXPECT_LE(fit.loss, 1.001 * std::sqrt(far) + std::sqrt(rounding)) << "random descents do better";
 }
