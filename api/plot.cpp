@@ -327,7 +327,7 @@ double draw_legend(Svg& svg, const View& view, const Pixel& corner, double width
         const std::size_t column = used / rows;
         const double x = corner.x + static_cast<double>(column) * (width + kGap);
         if (used % rows == 0 && used < view.series.size()) {
-            svg.text(x + width - 56, corner.y + 4, {"loss"}, kHead);
+            svg.text(x + width - 62, corner.y + 4, {"loss"}, kHead);
             svg.text(x + width, corner.y + 4, {"decades"}, kHead);
         }
         return Pixel{x, corner.y + kRow * static_cast<double>(used++ % rows + 1)};
@@ -336,7 +336,7 @@ double draw_legend(Svg& svg, const View& view, const Pixel& corner, double width
         const Pixel at = place();
         svg.path(xml("M{} {}h28", at.x, at.y), s.style.stroke);
         svg.text(at.x + 34, at.y + 4, escape(s.name, (width - 120) / 11), R"(font-size="11")");
-        svg.text(at.x + width - 56, at.y + 4, typeset(brief(s.fit->loss)), kEnd);
+        svg.text(at.x + width - 62, at.y + 4, typeset(brief(s.fit->loss)), kEnd);
         svg.text(at.x + width, at.y + 4, typeset(brief(s.fit->log10_rmse)), kEnd);
     }
     for (const optim::Failure& f : view.failures) {
@@ -487,15 +487,15 @@ void draw_ranking(Svg& svg, const View& view, const SummaryAxes& axes, double wi
     Panel p{width, height, {x, axes.log_loss ? decade_ticks(x, 34) : number_ticks(x, 44), true, {"loss"}}, {y, {}}};
     Svg stems, numbers;
     if (!view.series.empty()) {
-        numbers.text(width + 52, -6, {"loss"}, kHead);
-        numbers.text(width + 108, -6, {"decades"}, kHead);
+        numbers.text(width + 58, -6, {"loss"}, kHead);
+        numbers.text(width + 122, -6, {"decades"}, kHead);
     }
     if (view.models() == 0) stems.text(8, y(0.5) + 3.5, {"no fit"}, kFailed);
     double row = 0.5;
     for (const Series& s : view.series) {
         p.y.ticks.push_back({row, escape(fmt::format("{}. {}", s.fit->rank, s.name), 13.5)});
-        numbers.text(width + 52, y(row) + 3.5, typeset(brief(s.fit->loss)), kEnd);
-        numbers.text(width + 108, y(row) + 3.5, typeset(brief(s.fit->log10_rmse)), kEnd);
+        numbers.text(width + 58, y(row) + 3.5, typeset(brief(s.fit->loss)), kEnd);
+        numbers.text(width + 122, y(row) + 3.5, typeset(brief(s.fit->log10_rmse)), kEnd);
         if (std::isfinite(s.fit->loss)) {
             const double end = x(std::max(axes.loss.lo, axes.log_loss ? std::log10(s.fit->loss) : s.fit->loss));
             stems.path(xml("M0 {}H{}", y(row), end), s.style.stroke, s.name);
@@ -562,7 +562,7 @@ std::string plot_summary(const Report& report, const PlotOptions& options) {
     const SummaryAxes axes = summary_axes(views, options);
 
     const double width = std::clamp(options.width, 440.0, kLayoutWidth);
-    constexpr double names = 160, numbers = 116;
+    constexpr double names = 160, numbers = 130;
     const bool beside = width >= 700;
     const double right = beside ? 0.3 * width : width - kLeft - kRight;
     const double left = width - names - numbers - kRight - (beside ? right + kLeft : 0);

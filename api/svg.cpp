@@ -215,7 +215,8 @@ std::vector<Tick> decade_ticks(const Scale& scale, double spacing) {
             const bool named = digit == 1 ? k % step == 0 : few && (digit == 2 || digit == 5);
             if (!scale.data.holds(tick.at) || (!named && scale.per_unit() < 3)) continue;
             if (named && decimals) tick.label = plain(digit * std::pow(10, k));
-            else if (named) tick.label = typeset(fmt::format("{}e{}", digit, k));
+            else if (named && digit > 1) tick.label = plain(digit);  // of the power of ten below
+            else if (named) tick.label = typeset(fmt::format("1e{}", k));
             ticks.push_back(tick);
         }
     }

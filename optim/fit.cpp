@@ -6,6 +6,7 @@
 #include <numbers>
 #include <set>
 
+#include <fmt/format.h>
 #include <boost/asio/post.hpp>  // a kept thread pool
 #include <boost/asio/thread_pool.hpp>
 
@@ -19,6 +20,12 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using kernels::Model;
 
+/// Data of a smaller rms are refused: losses are told in the data's own unit.
+constexpr double kSmallestData = 1e-100;
+/// Parts of the data's size that are rounding.
+constexpr double kUnseen = 1e-12;
+/// A search's loss that its reported parameters miss by this part was found beyond their digits.
+constexpr double kReproduced = 1e-6;
 /// A further lobe is reported only if the BIC falls by this much: "very strong" evidence (Kass and Raftery 1995).
 constexpr double kEvidence = 10;
 
@@ -39,12 +46,26 @@ bool knows_scale(const Model& model) {
                        [](const kernels::Term& term) { return !term.factor && !term.homogeneous; });
 }
 
+/// Root mean square of the data, [1/sr].
+double data_rms(const Channel& channel) {
+    double largest = 0;
+    for (const Sample& sample : channel.samples) largest = std::max(largest, std::abs(sample.brdf));
+    if (largest == 0) return 0;
+    double sum = 0;  // of squares that neither overflow nor vanish
+    for (const Sample& sample : channel.samples) sum += (sample.brdf / largest) * (sample.brdf / largest);
+    return largest * std::sqrt(sum / static_cast<double>(channel.samples.size()));
+}
+
+/// A power of two near the data's rms, so that dividing by it rounds nothing.
+double data_unit(const Channel& channel) {
+    const double rms = data_rms(channel);
+    return rms > 0 ? std::exp2(std::round(std::log2(rms))) : 1.0;
+}
+
 /// The scale of a perfectly white diffuser with the data's rms.
 double white_scale(const Channel& channel) {
-    double sum = 0;
-    for (const Sample& sample : channel.samples) sum += sample.brdf * sample.brdf;
-    const double scale = std::numbers::pi * std::sqrt(sum / static_cast<double>(channel.samples.size()));
-    return scale > 0 ? scale : 1.0;
+    const double rms = data_rms(channel);
+    return rms > 0 ? std::numbers::pi * rms : 1.0;
 }
 
 Channel divided(Channel channel, double scale) {
@@ -115,8 +136,13 @@ void add_curves(const Work& work, kernels::Precision precision, const Optimum& o
     }
 }
 
-bool is_at_bound(const kernels::Parameter& parameter, Interval bounds, double value) {
+bool is_at_bound(const kernels::Parameter& parameter, bool linear, Interval bounds, double value) {
     constexpr double kNear = 1e-6;  // of the interval, on the parameter's scale
+    // Coefficients are solved for: on a bound they are equal to it, to single precision, and 1e-30 is not 0.
+    const auto equals = [&](double bound) {
+        return std::isfinite(bound) && std::abs(value - bound) <= kNear * std::abs(bound);
+    };
+    if (linear) return equals(bounds.min) || equals(bounds.max);
     if (parameter.scale == kernels::Scale::logarithmic && bounds.min > 0) {
         const double range = kNear * std::log(bounds.max / bounds.min);
         return std::log(value / bounds.min) <= range || std::log(bounds.max / value) <= range;
@@ -124,6 +150,47 @@ bool is_at_bound(const kernels::Parameter& parameter, Interval bounds, double va
     // Bounds that a request or relative data widen do not make a small value a bound.
     const double range = kNear * std::min(bounds.max - bounds.min, parameter.max - parameter.min);
     return value - bounds.min <= range || bounds.max - value <= range;
+}
+
+/// Which bound a parameter stands at, and whose it is; values in the wire's unit.
+std::string bound_remark(const kernels::Parameter& parameter, Interval bounds, double value, bool requested,
+                         double unit) {
+    const double bound = std::abs(value - bounds.min) <= std::abs(value - bounds.max) ? bounds.min : bounds.max;
+    const bool natural = bound == parameter.domain_min || bound == parameter.domain_max;
+    const char* whose = natural ? "natural limit" : requested ? "bound in the request," : "default bound";
+    return fmt::format("{} stands at its {} {:g}", parameter.name, whose, bound / unit);
+}
+
+/// The size of a column of the weighted Jacobian.
+double effect(const Weighted& weighted, const Residuals& residuals, const std::vector<double>& by_parameter) {
+    double sum = 0;
+    for (std::size_t j = 0; j < by_parameter.size(); ++j) {
+        const double x = residuals.by_f[j] * by_parameter[j];
+        sum += weighted.weight[j] * x * x;
+    }
+    return std::sqrt(sum);
+}
+
+/// Terms that the samples do not see.
+void add_unseen_terms(const Work& work, kernels::Precision precision, const Optimum& optimum, Fit& fit) {
+    const Model& model = *optimum.model;
+    const auto directions = directions_of(work.channel);
+    kernels::Evaluator evaluator(work.engine, model, precision, directions, {}, {});
+    const std::vector<double> rows = evaluator.terms(optimum.parameters);
+    const std::vector<double> c = model.coefficients(optimum.parameters);
+    const auto largest = [](auto begin, auto end) {
+        double most = 0;
+        for (auto it = begin; it != end; ++it) most = std::max(most, std::abs(*it));
+        return most;
+    };
+    const double seen = kUnseen * largest(fit.values.begin(), fit.values.end()) / optimum.scale;
+    auto row = rows.begin();
+    for (std::size_t t = 0; t < model.terms.size(); ++t) {
+        const auto n = static_cast<std::ptrdiff_t>(directions.size());
+        if (!model.terms[t].of.empty() && std::abs(c[t]) * largest(row, row + n) <= seen)
+            fit.warnings.push_back(model.terms[t].name + " is zero at every sample");
+        row += n * static_cast<std::ptrdiff_t>(1 + model.terms[t].of.size());
+    }
 }
 
 /// Parameter values with their errors, in the wire's unit.
@@ -135,28 +202,55 @@ void add_parameters(const Work& work, kernels::Precision precision, const Weight
         kernels::evaluate(work.engine, model, precision, optimum.parameters, directions, true);
     const std::size_t n = directions.size();
 
+    const Residuals at = residuals(weighted, fit.values);
     std::vector<std::size_t> free;
     std::vector<std::vector<double>> jacobian;
+    const auto undetermined = [&](const std::string& name) {
+        fit.warnings.push_back("the data do not determine " + name);
+    };
     for (std::size_t i = 0; i < model.parameters.size(); ++i) {
+        const kernels::Parameter& declared = model.parameters[i];
+        const double unit = to_model_unit(declared, work.channel);
+        const double value = optimum.parameters[i];
         FittedParameter parameter;
-        parameter.name = model.parameters[i].name;
-        parameter.unit = wire_unit(model.parameters[i], work.channel);
-        parameter.value = optimum.parameters[i] / to_model_unit(model.parameters[i], work.channel);
+        parameter.name = declared.name;
+        parameter.unit = wire_unit(declared, work.channel);
+        parameter.value = value / unit + 0.0;  // no -0
         parameter.fixed = bounds[i].fixed();
-        parameter.at_bound = !parameter.fixed && is_at_bound(model.parameters[i], bounds[i], optimum.parameters[i]);
+        parameter.at_bound = !parameter.fixed && is_at_bound(declared, model.is_linear(i), bounds[i], value);
         fit.parameters.push_back(std::move(parameter));
-        if (fit.parameters.back().fixed || fit.parameters.back().at_bound) continue;
+        if (fit.parameters.back().fixed) continue;
+        if (fit.parameters.back().at_bound) {
+            fit.warnings.push_back(
+                bound_remark(declared, bounds[i], value, work.request.bounds.count(declared.name) > 0, unit));
+            continue;
+        }
+        std::vector<double> row;
+        for (std::size_t j = 0; j < n; ++j) row.push_back(optimum.scale * values.by_parameter[i * n + j]);
+        // What the samples do not feel over the parameter's whole interval is rounding, not a slope.
+        const double reach = declared.scale == kernels::Scale::logarithmic
+                                 ? std::abs(value)
+                                 : std::max(declared.max - declared.min, std::abs(value));
+        if (!(effect(weighted, at, row) * reach > kUnseen * std::max(weighted.norm, fit.loss))) {
+            undetermined(declared.name);
+            continue;
+        }
         free.push_back(i);
-        jacobian.emplace_back();
-        for (std::size_t j = 0; j < n; ++j) jacobian.back().push_back(optimum.scale * values.by_parameter[i * n + j]);
+        jacobian.push_back(std::move(row));
     }
     if (work.unit == Unit::relative && knows_scale(model)) jacobian.push_back(values.f);
-    const auto errors = standard_errors(weighted, residuals(weighted, fit.values), jacobian);
+    const auto errors = standard_errors(weighted, at, jacobian);
+    const bool too_few = weighted.used <= jacobian.size();
+    std::string without;
     for (std::size_t i = 0; i < free.size(); ++i) {
         FittedParameter& parameter = fit.parameters[free[i]];
         if (errors[i]) parameter.std_error = *errors[i] / to_model_unit(model.parameters[free[i]], work.channel);
-        else fit.warnings.push_back("the data do not determine " + parameter.name);
+        else if (too_few) without += (without.empty() ? "" : ", ") + parameter.name;
+        else undetermined(parameter.name);
     }
+    if (!without.empty())
+        fit.warnings.push_back("no standard error of " + without + ": no more samples than parameters");
+    if (!fit.warnings.empty()) add_unseen_terms(work, precision, optimum, fit);  // some parameter knows it too
 }
 
 /// Lobes in falling order of their exponent, unless the request speaks of single lobes.
@@ -173,25 +267,29 @@ void order_lobes(const Work& work, Optimum& optimum) {
     for (const auto& lobe : lobes) at = std::copy(lobe.begin(), lobe.end(), at);
 }
 
-/// What a search of one variant sees: for relative data and a model that does not know the scale, the data divided by
-/// that of a white diffuser, and albedos not bounded above.
+/// What a search of one variant sees: the data in a unit of their own size, which sets the model's scale. For relative
+/// data and a model that does not know the scale, that of a white diffuser, and albedos not bounded above.
 struct Prepared {
     Channel channel;
     std::vector<Interval> bounds;
-    double convention = 1;
-    ScaleRange scale;
+    double unit = 1;   ///< the data's values over the channel's here
+    ScaleRange scale;  ///< of the channel here
+    bool by_convention = false;
 };
 
 Prepared prepare(const Work& work, const Model& model) {
-    Prepared prepared{work.channel, parameter_bounds(model, work.request, work.channel), 1, {}};
-    if (work.unit != Unit::relative) return prepared;
     const double white = white_scale(work.channel);
-    if (knows_scale(model)) {
-        prepared.scale = {1e-6 * white, 1e6 * white};
-        return prepared;
-    }
-    prepared.convention = white;
-    prepared.channel = divided(work.channel, white);
+    const bool relative = work.unit == Unit::relative;
+    const bool by_convention = relative && !knows_scale(model);
+    const double unit = by_convention ? white : data_unit(work.channel);
+    Prepared prepared{divided(work.channel, unit),
+                      parameter_bounds(model, work.request, work.channel),
+                      unit,
+                      {1 / unit, 1 / unit},
+                      by_convention};
+    if (by_convention) prepared.scale = {1, 1};
+    else if (relative) prepared.scale = {1e-6 * white / unit, 1e6 * white / unit};
+    if (!by_convention) return prepared;
     for (std::size_t i = 0; i < prepared.bounds.size(); ++i)
         if (model.is_linear(i) && !prepared.bounds[i].fixed() &&
             work.request.bounds.count(model.parameters[i].name) == 0)
@@ -202,7 +300,7 @@ Prepared prepare(const Work& work, const Model& model) {
 /// Everything the report says of an optimum.
 Fit describe(const Work& work, const Prepared& prepared, Optimum optimum) {
     order_lobes(work, optimum);
-    optimum.scale *= prepared.convention;
+    optimum.scale *= prepared.unit;
     const kernels::Precision precision = work.engine.best_precision();
     const Weighted weighted = weigh(work.channel, work.options.loss);
     Fit fit;
@@ -219,11 +317,25 @@ Fit describe(const Work& work, const Prepared& prepared, Optimum optimum) {
     add_parameters(work, precision, weighted, optimum, prepared.bounds, fit);
     add_curves(work, precision, optimum, fit);
     fit.search = optimum.record;
-    if (prepared.convention != 1)
+    const double found =
+        weighted.logarithmic ? std::sqrt(optimum.relative_loss2) : std::sqrt(optimum.relative_loss2) * weighted.norm;
+    if (fit.search.stop_reason == StopReason::converged &&
+        fit.loss > found * (1 + kReproduced) + kUnseen * (weighted.norm > 0 ? weighted.norm : 1.0))
+        fit.search.stop_reason = StopReason::roundoff;
+    if (prepared.scale.min < prepared.scale.max)
+        if (const double s = optimum.scale / prepared.unit;
+            s <= prepared.scale.min * 1.0001 || s >= prepared.scale.max / 1.0001)
+            fit.warnings.push_back("scale stands at the end of its range, 1e6 times from a white diffuser's");
+    if (prepared.by_convention)
         fit.warnings.push_back(
             "relative data do not determine this model's scale: by convention it is that of a white "
             "diffuser with the data's rms");
     return fit;
+}
+
+/// Why a search is over.
+StopReason stop_of(const SearchControl& control) {
+    return control.stop.stop_requested() ? StopReason::cancelled : StopReason::time_limit;
 }
 
 /// Fits the request's variants from the fewest lobes up, each from the one before, and returns the last; with "auto",
@@ -233,6 +345,8 @@ Fit fit_model(const Work& work) {
     const kernels::Family& family = *work.request.family;
     const bool automatic = family.repeat && !work.request.lobes;
     const kernels::Precision precision = work.options.precision.value_or(work.engine.best_precision());
+    if (const double rms = data_rms(work.channel); rms > 0 && rms < kSmallestData)
+        throw SearchError("the BRDF values are too small, below 1e-100, where squares vanish: use another unit");
     std::optional<Optimum> smaller;
     std::optional<Fit> fit;
     for (std::size_t lobes = family.repeat ? family.repeat->min : 1; lobes <= work.request.most_lobes(); ++lobes) {
@@ -240,6 +354,8 @@ Fit fit_model(const Work& work) {
         const Prepared prepared = prepare(work, model);
         const Weighted weighted = weigh(prepared.channel, work.options.loss);
         const std::size_t free = free_parameters(prepared.bounds);
+        if (!std::isfinite(weighted.norm))
+            throw SearchError("the weights of this loss overflow: a value or a sigma is too small beside the others");
         if (weighted.used < free) {
             if (automatic && fit) break;
             throw SearchError("too few samples: " + std::to_string(weighted.used) + " usable ones for " +
@@ -253,6 +369,10 @@ Fit fit_model(const Work& work) {
         if (automatic && fit && !(next.bic < fit->bic - kEvidence)) break;
         fit = std::move(next);
         smaller = optimum;
+        if (automatic && lobes < work.request.most_lobes() && work.control.over()) {
+            fit->search.stop_reason = stop_of(work.control);
+            break;
+        }
     }
     fit->search.time_s = std::chrono::duration<double>(Clock::now() - start).count();
     return std::move(*fit);

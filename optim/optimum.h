@@ -29,6 +29,7 @@ struct Optimum {
     const kernels::Model* model = nullptr;
     std::vector<double> parameters;  ///< in the model's unit, within the bounds
     double scale = 1;
+    double relative_loss2 = 0;  ///< loss^2 over that of f = 0; for `log` loss^2
     SearchRecord record;
 };
 

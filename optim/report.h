@@ -14,10 +14,10 @@ namespace brdfit::optim {
 
 /// Why a search ended.
 enum class StopReason {
-    converged,         ///< the last local search met its tolerance
-    evaluation_limit,  ///< the budget of evaluations was spent first
+    converged,         ///< gradient and curvature at the end promise no decrease that counts (optim/stationarity.h)
+    evaluation_limit,  ///< the budget was spent first
     time_limit,        ///< options.time_limit_s passed
-    roundoff,          ///< round-off stopped progress: the point is usable
+    roundoff,          ///< a decrease is promised that no step reaches: the point is usable
     cancelled,
 };
 

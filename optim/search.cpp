@@ -25,10 +25,6 @@ bool all_finite(std::span<const double> values) {
     return std::all_of(values.begin(), values.end(), [](double value) { return std::isfinite(value); });
 }
 
-bool out_of_time(const SearchControl& control) {
-    return control.stop.stop_requested() || Clock::now() >= control.deadline;
-}
-
 /// Carries an objective through NLopt's C interface. NLopt turns foreign exceptions into a bare failure, so they are
 /// kept here and thrown again; it may end away from its best point, so that is kept too.
 struct Adapter {
@@ -151,61 +147,6 @@ double distance(std::span<const double> a, std::span<const double> b) {
     return largest;
 }
 
-/// The projected problem with its counters.
-class Projected {
-public:
-    Projected(kernels::Evaluator& evaluator, const SearchSpace& space, double scale2)
-        : evaluator_(evaluator), space_(space), scale2_(scale2) {}
-
-    double operator()(std::span<const double> u, std::span<double> gradient) {
-        ++evaluations_;
-        const Candidate at = space_.candidate(u);
-        evaluator_.project(at.parameters, at.lower, at.upper, !gradient.empty(), batch_);
-        if (!gradient.empty()) {
-            space_.gradient(u, at, batch_.coefficients, batch_.by_parameter, batch_.by_coefficient, gradient);
-            for (double& g : gradient) g /= scale2_;
-        }
-        return batch_.loss[0] / scale2_;
-    }
-
-    /// Values at many points, in launches small enough to look at the clock between them; points left when time runs
-    /// out have the largest value.
-    std::vector<double> screen(const std::vector<std::vector<double>>& points, const SearchControl& control) {
-        constexpr std::size_t kLaunch = 1'000'000;  // candidates x samples: under a second on one core
-        const std::size_t most = std::max<std::size_t>(1, kLaunch / std::max<std::size_t>(1, evaluator_.samples()));
-        std::vector<double> values(points.size(), std::numeric_limits<double>::max());
-        for (std::size_t first = 0; first < points.size() && !out_of_time(control); first += most) {
-            const std::size_t count = std::min(most, points.size() - first);
-            std::vector<double> parameters, lower, upper;
-            for (std::size_t i = first; i < first + count; ++i) {
-                const Candidate at = space_.candidate(points[i]);
-                parameters.insert(parameters.end(), at.parameters.begin(), at.parameters.end());
-                lower.insert(lower.end(), at.lower.begin(), at.lower.end());
-                upper.insert(upper.end(), at.upper.begin(), at.upper.end());
-            }
-            evaluator_.project(parameters, lower, upper, false, batch_);
-            evaluations_ += count;
-            for (std::size_t i = 0; i < count; ++i)
-                if (std::isfinite(batch_.loss[i])) values[first + i] = batch_.loss[i] / scale2_;
-        }
-        return values;
-    }
-
-    void complete(Minimum& minimum) {
-        minimum.loss2 = (*this)(minimum.u, {}) * scale2_;
-        minimum.coefficients = batch_.coefficients;
-    }
-
-    [[nodiscard]] std::size_t evaluations() const { return evaluations_; }
-
-private:
-    kernels::Evaluator& evaluator_;
-    const SearchSpace& space_;
-    double scale2_;
-    kernels::Batch batch_;
-    std::size_t evaluations_ = 0;
-};
-
 /// The best points that are not close to a better one.
 std::vector<std::vector<double>> best_distinct(const std::vector<std::vector<double>>& points,
                                                const std::vector<double>& values, std::size_t count) {
@@ -231,6 +172,44 @@ SearchBudget budget(Effort effort, std::size_t dimension) {
     const std::size_t factor = effort == Effort::draft ? 1 : effort == Effort::standard ? 4 : 16;
     if (dimension <= 1) return {16 * factor, 2, 40, 100};
     return {32 * factor * (dimension - 1), 3 * factor, static_cast<int>(40 * factor), 200};
+}
+
+double ProjectedLoss::operator()(std::span<const double> u, std::span<double> gradient) {
+    ++evaluations_;
+    const Candidate at = space_.candidate(u);
+    evaluator_.project(at.parameters, at.lower, at.upper, !gradient.empty(), batch_);
+    if (!gradient.empty()) {
+        space_.gradient(u, at, batch_.coefficients, batch_.by_parameter, batch_.by_coefficient, gradient);
+        for (double& g : gradient) g /= scale2_;
+    }
+    return batch_.loss[0] / scale2_;
+}
+
+std::vector<double> ProjectedLoss::screen(const std::vector<std::vector<double>>& points,
+                                          const SearchControl& control) {
+    constexpr std::size_t kLaunch = 1'000'000;  // candidates x samples: under a second on one core
+    const std::size_t most = std::max<std::size_t>(1, kLaunch / std::max<std::size_t>(1, evaluator_.samples()));
+    std::vector<double> values(points.size(), std::numeric_limits<double>::max());
+    for (std::size_t first = 0; first < points.size() && !control.over(); first += most) {
+        const std::size_t count = std::min(most, points.size() - first);
+        std::vector<double> parameters, lower, upper;
+        for (std::size_t i = first; i < first + count; ++i) {
+            const Candidate at = space_.candidate(points[i]);
+            parameters.insert(parameters.end(), at.parameters.begin(), at.parameters.end());
+            lower.insert(lower.end(), at.lower.begin(), at.lower.end());
+            upper.insert(upper.end(), at.upper.begin(), at.upper.end());
+        }
+        evaluator_.project(parameters, lower, upper, false, batch_);
+        evaluations_ += count;
+        for (std::size_t i = 0; i < count; ++i)
+            if (std::isfinite(batch_.loss[i])) values[first + i] = batch_.loss[i] / scale2_;
+    }
+    return values;
+}
+
+void ProjectedLoss::complete(Minimum& minimum) {
+    minimum.loss2 = (*this)(minimum.u, {}) * scale2_;
+    minimum.coefficients = batch_.coefficients;
 }
 
 Minimum descend(const Objective& objective, std::vector<double> u, int max_evaluations, double tolerance,
@@ -270,7 +249,7 @@ SearchResult search_projected(kernels::Evaluator& evaluator, const SearchSpace& 
                               const SearchControl& control, double scale2,
                               const std::vector<std::vector<double>>& seeds) {
     const std::size_t d = space.dimension();
-    Projected problem(evaluator, space, scale2);
+    ProjectedLoss problem(evaluator, space, scale2);
     SearchResult result;
     if (d == 0) {
         problem.complete(result.best);
@@ -293,7 +272,6 @@ SearchResult search_projected(kernels::Evaluator& evaluator, const SearchSpace& 
                                        [&](const Minimum& m) { return distance(m.u, end.u) < 1e-3; });
         if (!known) result.minima.push_back(end);
     }
-    for (Minimum& minimum : result.minima) problem.complete(minimum);
     result.best = std::move(descents.best);
     problem.complete(result.best);
     result.record = {descents.ends.size(), descents.agreed, problem.evaluations(), result.best.stop, 0};

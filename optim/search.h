@@ -38,6 +38,9 @@ struct SearchControl {
     std::uint64_t seed = 1;  ///< shifts the low-discrepancy set
     std::chrono::steady_clock::time_point deadline = std::chrono::steady_clock::time_point::max();
     std::stop_token stop{};
+
+    /// Time has run out, or a stop was asked for.
+    [[nodiscard]] bool over() const { return stop.stop_requested() || std::chrono::steady_clock::now() >= deadline; }
 };
 
 /// Where a search ended.
@@ -51,7 +54,32 @@ struct Minimum {
 struct SearchResult {
     Minimum best;
     SearchRecord record;          ///< without the time
-    std::vector<Minimum> minima;  ///< distinct ends of local searches, best first
+    std::vector<Minimum> minima;  ///< distinct ends of local searches, best first; not completed
+};
+
+/// The projected loss (Evaluator::project) over a space, divided by scale2 > 0, as an objective. References must
+/// outlive it. All members throw what the evaluator throws.
+class ProjectedLoss {
+public:
+    ProjectedLoss(kernels::Evaluator& evaluator, const SearchSpace& space, double scale2)
+        : evaluator_(evaluator), space_(space), scale2_(scale2) {}
+
+    /// The value at u, and its gradient unless that is empty.
+    double operator()(std::span<const double> u, std::span<double> gradient);
+    /// Values at many points, in launches small enough to look at the clock between them; points left when time runs
+    /// out have the largest value.
+    std::vector<double> screen(const std::vector<std::vector<double>>& points, const SearchControl& control);
+    /// Fills in the loss, not divided, and the coefficients at minimum.u.
+    void complete(Minimum& minimum);
+
+    [[nodiscard]] std::size_t evaluations() const { return evaluations_; }
+
+private:
+    kernels::Evaluator& evaluator_;
+    const SearchSpace& space_;
+    double scale2_;
+    kernels::Batch batch_;
+    std::size_t evaluations_ = 0;
 };
 
 /// Minimises the projected loss (Evaluator::project) over the space. `seeds` are screened apart, and the best of them

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <optional>
 
 namespace brdfit::optim {
 namespace {
@@ -30,7 +31,7 @@ public:
     [[nodiscard]] virtual std::size_t dimension() const { return 1; }
     virtual void apply(std::span<const double> u, Candidate& out) const = 0;
     virtual void gradient(std::span<const double> u, const Candidate& at, std::span<const double> by_parameter,
-                          std::span<double> by_u) const = 0;
+                          std::span<const double> by_coefficient, std::span<double> by_u) const = 0;
     /// Adds to by_parameter what a parameter of another axis moves in this one, bounds of coefficients included.
     virtual void fold(std::span<const double> /*u*/, const Candidate&, std::span<const double> /*coefficients*/,
                       std::span<const double> /*by_coefficient*/, std::span<double> /*by_parameter*/) const {}
@@ -41,6 +42,42 @@ public:
 };
 
 namespace {
+
+/// Coefficients from 0: evenly spaced below a level, and in their logarithm above.
+class Level {
+public:
+    Level(double level, double largest) : level_(level), reach_(std::asinh(largest / level)) {}
+    [[nodiscard]] double value(double u) const { return level_ * std::sinh(u * reach_); }
+    [[nodiscard]] double slope(double u) const { return level_ * std::cosh(u * reach_) * reach_; }
+    [[nodiscard]] double place(double value) const { return std::clamp(std::asinh(value / level_) / reach_, 0.0, 1.0); }
+
+private:
+    double level_, reach_;
+};
+
+/// A linear coefficient that is searched, from its lower bound on.
+class LevelAxis final : public Axis {
+public:
+    LevelAxis(std::size_t index, Interval bounds, double level)
+        : index_(index), bounds_(bounds), level_(level, std::min(bounds.max - bounds.min, kLargestCoefficient)) {}
+
+    void apply(std::span<const double> u, Candidate& out) const override {
+        out.parameters[index_] = std::clamp(bounds_.min + level_.value(u[0]), bounds_.min, bounds_.max);
+    }
+    void gradient(std::span<const double> u, const Candidate&, std::span<const double> by_parameter,
+                  std::span<const double>, std::span<double> by_u) const override {
+        by_u[0] = by_parameter[index_] * level_.slope(u[0]);
+    }
+    void locate(const std::vector<double>& parameters, std::span<double> u) const override {
+        u[0] = level_.place(parameters[index_] - bounds_.min);
+    }
+    [[nodiscard]] std::vector<Interval> typical() const override { return {{0, 1}}; }
+
+private:
+    std::size_t index_;
+    Interval bounds_;
+    Level level_;
+};
 
 /// A parameter on its own scale.
 class DirectAxis final : public Axis {
@@ -58,7 +95,7 @@ public:
         out.parameters[index_] = std::clamp(value, bounds_.min, bounds_.max);
     }
     void gradient(std::span<const double>, const Candidate& at, std::span<const double> by_parameter,
-                  std::span<double> by_u) const override {
+                  std::span<const double>, std::span<double> by_u) const override {
         by_u[0] = by_parameter[index_] *
                   (log_ ? at.parameters[index_] * std::log(bounds_.max / bounds_.min) : bounds_.max - bounds_.min);
     }
@@ -100,7 +137,7 @@ public:
         out.parameters[k_] = std::clamp(index.k, k_bounds_.min, k_bounds_.max);
     }
     void gradient(std::span<const double> u, const Candidate&, std::span<const double> by_parameter,
-                  std::span<double> by_u) const override {
+                  std::span<const double>, std::span<double> by_u) const override {
         const double phi = kPi * u[1];
         const Exit out = exit(phi);
         const Index index = at(u[0] * out.radius, phi);
@@ -179,17 +216,22 @@ private:
 /// The direction of a homogeneous pair: (x, y) = R (cos psi, sin psi)/max(|cos psi|, |sin psi|), with height R^degree =
 /// c; so a lobe of height 1 peaks at 1 or less whatever its degree. A narrow lobe's height follows its direction as
 /// exp(degree (psi - pole)), so the coordinate is t with psi = pole + 2 atan(sinh(t)/(1 + degree)): what is a funnel in
-/// psi is a straight channel in t.
+/// psi is a straight channel in t. With a level the height is a second coordinate, else a coefficient to solve for.
 class DirectionAxis final : public Axis {
 public:
-    DirectionAxis(std::size_t term, const Term::Homogeneous& homogeneous, Interval x, Interval y)
+    DirectionAxis(std::size_t term, const Term::Homogeneous& homogeneous, Interval x, Interval y,
+                  std::optional<double> level)
         : term_(term),
           x_(homogeneous.plane.first),
           y_(homogeneous.plane.second),
           degree_(homogeneous.degree),
           pole_(homogeneous.pole),
           x_bounds_(x),
-          y_bounds_(y) {}
+          y_bounds_(y) {
+        if (level) height_.emplace(*level, kLargestCoefficient);
+    }
+
+    [[nodiscard]] std::size_t dimension() const override { return height_ ? 2 : 1; }
 
     /// The rectangle must hold the origin, so that every direction has lengths from 0.
     static bool covers(Interval x, Interval y) { return x.min < 0 && x.max > 0 && y.min < 0 && y.max > 0; }
@@ -203,7 +245,8 @@ public:
         const double y = out.parameters[y_] = std::sin(psi) / largest;
         const double length = longest_along(x, y).length;
         out.lower[term_] = std::exp(degree * kLogSmallestLength);
-        out.upper[term_] = std::min(std::exp(degree * std::log(length)), kLargestCoefficient);
+        out.upper[term_] = std::exp(degree * std::log(length));
+        if (height_) out.lower[term_] = out.upper[term_] = std::min(height_->value(u[1]), out.upper[term_]);
     }
     void fold(std::span<const double> u, const Candidate& at, std::span<const double> c,
               std::span<const double> by_coefficient, std::span<double> by_parameter) const override {
@@ -211,20 +254,22 @@ public:
         const double y = at.parameters[y_];
         const double degree = at.parameters[degree_];
         const double gain = by_coefficient[term_] * c[term_];
-        if (at_upper(c[term_], at.upper[term_]) && at.upper[term_] < kLargestCoefficient) {
+        const bool at_longest = height_ ? held(u, at) : at_upper(c[term_], at.upper[term_]);
+        if (at_longest && at.upper[term_] < kLargestCoefficient) {
             // ln upper = degree ln R, and R = bound/|x| or bound/|y| along this direction
             const Longest longest = longest_along(x, y);
             by_parameter[degree_] += gain * std::log(longest.length);
             if (longest.by_x) by_parameter[x_] -= gain * degree / x;
             else by_parameter[y_] -= gain * degree / y;
-        } else if (at_lower(c[term_], at.lower[term_])) {
+        } else if (!height_ && at_lower(c[term_], at.lower[term_])) {
             by_parameter[degree_] += gain * kLogSmallestLength;
         }
         const double tangent = half_tangent(u[0], degree);
         by_parameter[degree_] -= by_angle(x, y, by_parameter) * 2 / (1 + tangent * tangent) * tangent / (1 + degree);
     }
     void gradient(std::span<const double> u, const Candidate& at, std::span<const double> by_parameter,
-                  std::span<double> by_u) const override {
+                  std::span<const double> by_coefficient, std::span<double> by_u) const override {
+        if (height_) by_u[1] = held(u, at) ? 0.0 : by_coefficient[term_] * height_->slope(u[1]);
         const double degree = at.parameters[degree_];
         const double tangent = half_tangent(u[0], degree);
         by_u[0] = by_angle(at.parameters[x_], at.parameters[y_], by_parameter) * 2 / (1 + tangent * tangent) *
@@ -240,8 +285,14 @@ public:
         const double away = std::remainder(std::atan2(parameters[y_], parameters[x_]) - pole_, 2 * kPi);
         const double t = std::asinh(std::tan(away / 2) * (1 + parameters[degree_]));
         u[0] = std::clamp(0.5 + 0.5 * t / kReach, 0.0, 1.0);
+        if (!height_) return;
+        const double length = std::max(std::abs(parameters[x_]), std::abs(parameters[y_]));
+        u[1] = height_->place(std::pow(length, parameters[degree_]));
     }
-    [[nodiscard]] std::vector<Interval> typical() const override { return {{0.3, 0.7}}; }
+    [[nodiscard]] std::vector<Interval> typical() const override {
+        if (height_) return {{0.3, 0.7}, {0, 1}};
+        return {{0.3, 0.7}};
+    }
 
 private:
     /// Largest |t|: reaches to within 10 degrees of the pole's opposite at degree 1e4.
@@ -264,14 +315,21 @@ private:
         const double by_y = y == 0 ? HUGE_VAL : (y < 0 ? y_bounds_.min : y_bounds_.max) / y;
         return {std::min(by_x, by_y), by_x < by_y};
     }
+    /// The height asked for is beyond the bounds.
+    [[nodiscard]] bool held(std::span<const double> u, const Candidate& at) const {
+        const Longest longest = longest_along(at.parameters[x_], at.parameters[y_]);
+        return height_->value(u[1]) > std::exp(at.parameters[degree_] * std::log(longest.length));
+    }
     std::size_t term_, x_, y_, degree_;
     double pole_;
     Interval x_bounds_, y_bounds_;
+    std::optional<Level> height_{};
 };
 
 }  // namespace
 
-SearchSpace::SearchSpace(const Model& model, std::vector<Interval> bounds, Unknowns unknowns, ScaleRange scale)
+SearchSpace::SearchSpace(const Model& model, std::vector<Interval> bounds, Unknowns unknowns, ScaleRange scale,
+                         double level, Charts charts)
     : model_(model), bounds_(std::move(bounds)), unknowns_(unknowns), scale_(scale) {
     const bool all = unknowns == Unknowns::all;
     std::vector<bool> taken(model.parameters.size(), false);
@@ -282,20 +340,24 @@ SearchSpace::SearchSpace(const Model& model, std::vector<Interval> bounds, Unkno
     };
     for (const kernels::Chart& chart : model.charts) {
         const auto [n, k] = chart.parameters;
-        if (!taken[n] && !taken[k] && ComplexIndexAxis::covers(bounds_[n], bounds_[k]))
+        if (charts == Charts::used && !taken[n] && !taken[k] && ComplexIndexAxis::covers(bounds_[n], bounds_[k]))
             take(n, k, std::make_unique<ComplexIndexAxis>(n, k, bounds_[n], bounds_[k]));
     }
     std::vector<std::unique_ptr<Axis>> directions;
     for (std::size_t t = 0; t < model.terms.size(); ++t) {
         const auto& homogeneous = model.terms[t].homogeneous;
-        if (!homogeneous || all) continue;
+        if (!homogeneous) continue;
         const auto [x, y] = homogeneous->plane;
         if (taken[x] || taken[y] || !DirectionAxis::covers(bounds_[x], bounds_[y])) continue;
         taken[x] = taken[y] = true;
-        directions.push_back(std::make_unique<DirectionAxis>(t, *homogeneous, bounds_[x], bounds_[y]));
+        directions.push_back(std::make_unique<DirectionAxis>(t, *homogeneous, bounds_[x], bounds_[y],
+                                                             all ? std::optional(level) : std::nullopt));
     }
-    for (std::size_t i = 0; i < taken.size(); ++i)
-        if (!taken[i]) axes_.push_back(std::make_unique<DirectAxis>(model.parameters[i], i, bounds_[i]));
+    for (std::size_t i = 0; i < taken.size(); ++i) {
+        if (taken[i]) continue;
+        if (model.is_linear(i)) axes_.push_back(std::make_unique<LevelAxis>(i, bounds_[i], level));
+        else axes_.push_back(std::make_unique<DirectAxis>(model.parameters[i], i, bounds_[i]));
+    }
     for (auto& axis : directions) axes_.push_back(std::move(axis));  // they read the degrees set before
     for (const auto& axis : axes_) dimension_ += axis->dimension();
     if (scaled()) ++dimension_;
@@ -305,7 +367,7 @@ SearchSpace::~SearchSpace() = default;
 SearchSpace::SearchSpace(SearchSpace&&) noexcept = default;
 
 double SearchSpace::scale(std::span<const double> u) const {
-    return scaled() ? scale_.min * std::exp(u.back() * std::log(scale_.max / scale_.min)) : 1.0;
+    return scaled() ? scale_.min * std::exp(u.back() * std::log(scale_.max / scale_.min)) : scale_.min;
 }
 
 Candidate SearchSpace::candidate(std::span<const double> u) const {
@@ -324,11 +386,11 @@ Candidate SearchSpace::candidate(std::span<const double> u) const {
     for (std::size_t t = 0; t < model_.terms.size(); ++t)
         if (const auto factor = model_.terms[t].factor) {
             out.lower[t] = all ? out.parameters[*factor] : bounds_[*factor].min;
-            out.upper[t] = all ? out.parameters[*factor] : std::min(bounds_[*factor].max, kLargestCoefficient);
+            out.upper[t] = all ? out.parameters[*factor] : bounds_[*factor].max;
         }
     const double s = scale(u);
-    for (double& bound : out.lower) bound *= s;
-    for (double& bound : out.upper) bound *= s;
+    for (double& bound : out.lower) bound = std::min(bound * s, kLargestCoefficient);
+    for (double& bound : out.upper) bound = std::min(bound * s, kLargestCoefficient);
     return out;
 }
 
@@ -336,9 +398,11 @@ void SearchSpace::gradient(std::span<const double> u, const Candidate& at, std::
                            std::span<const double> by_parameter, std::span<const double> by_coefficient,
                            std::span<double> by_u) const {
     std::vector<double> slopes(by_parameter.begin(), by_parameter.end());
+    std::vector<double> by_scaled(by_coefficient.begin(), by_coefficient.end());  // by the coefficient over the scale
+    for (double& slope : by_scaled) slope *= scale(u);
     if (unknowns_ == Unknowns::all)
         for (std::size_t t = 0; t < model_.terms.size(); ++t)
-            if (const auto factor = model_.terms[t].factor) slopes[*factor] += by_coefficient[t] * scale(u);
+            if (const auto factor = model_.terms[t].factor) slopes[*factor] += by_scaled[t];
     std::size_t first = 0;
     for (const auto& axis : axes_) {
         axis->fold(u.subspan(first, axis->dimension()), at, coefficients, by_coefficient, slopes);
@@ -346,14 +410,16 @@ void SearchSpace::gradient(std::span<const double> u, const Candidate& at, std::
     }
     first = 0;
     for (const auto& axis : axes_) {
-        axis->gradient(u.subspan(first, axis->dimension()), at, slopes, by_u.subspan(first, axis->dimension()));
+        axis->gradient(u.subspan(first, axis->dimension()), at, slopes, by_scaled,
+                       by_u.subspan(first, axis->dimension()));
         first += axis->dimension();
     }
     if (!scaled()) return;
     // The scale moves the bounds of every coefficient, and with them the coefficients that stand there.
     double sum = 0;
     for (std::size_t t = 0; t < model_.terms.size(); ++t)
-        if (at_lower(coefficients[t], at.lower[t]) || at_upper(coefficients[t], at.upper[t]))
+        if (at_lower(coefficients[t], at.lower[t]) ||
+            (at_upper(coefficients[t], at.upper[t]) && at.upper[t] < kLargestCoefficient))
             sum += by_coefficient[t] * coefficients[t];
     by_u[first] = sum * std::log(scale_.max / scale_.min);
 }
@@ -361,12 +427,19 @@ void SearchSpace::gradient(std::span<const double> u, const Candidate& at, std::
 std::vector<double> SearchSpace::parameters(std::span<const double> u, std::span<const double> coefficients,
                                             double& scale_out) const {
     std::vector<double> result = candidate(u).parameters;
-    for (const auto& axis : axes_) axis->finish(coefficients, result);
     scale_out = scale(u);
+    std::vector<double> absolute(coefficients.begin(), coefficients.end());
+    for (double& c : absolute) c /= scale_out;
+    for (const auto& axis : axes_) axis->finish(absolute, result);
     for (std::size_t t = 0; t < model_.terms.size(); ++t)
         if (const auto factor = model_.terms[t].factor)
-            result[*factor] = std::clamp(coefficients[t] / scale_out, bounds_[*factor].min, bounds_[*factor].max);
+            result[*factor] = std::clamp(absolute[t], bounds_[*factor].min, bounds_[*factor].max);
     return result;
+}
+
+bool SearchSpace::out_of_range(std::span<const double> coefficients) {
+    return std::any_of(coefficients.begin(), coefficients.end(),
+                       [](double c) { return at_upper(c, kLargestCoefficient); });
 }
 
 std::vector<double> SearchSpace::coordinates(const std::vector<double>& parameters, double scale) const {

@@ -26,7 +26,8 @@ struct Candidate {
     std::vector<double> upper;
 };
 
-/// Range of the factor of relative data: coefficients are `scale` times what they are for absolute data.
+/// The data are `scale` times what the model speaks of, and so are coefficients: one value where it is known, a range
+/// where it is one more unknown.
 struct ScaleRange {
     double min = 1;
     double max = 1;
@@ -41,14 +42,20 @@ enum class Unknowns {
     all,        ///< Evaluator::loss: for losses that are not quadratic in the coefficients
 };
 
+/// Whether a model's charts are coordinates. They lead a search well, but where their rays touch the bounds they bend
+/// without limit: the last steps are taken in the parameters themselves.
+enum class Charts { used, passed_over };
+
 /// Maps u in [0, 1]^d to candidates. Parameters with a logarithmic scale are even in their logarithm; a complex index
 /// is seen in polar coordinates of (N-1)/(N+1); a homogeneous term's pair of parameters is seen as an angle and a
-/// height, and the height is a linear coefficient. Both charts are used only where the bounds leave them whole.
+/// height, and the height is a linear coefficient or a coordinate as well. Both charts are used only where the bounds
+/// leave them whole.
 class SearchSpace {
 public:
-    /// bounds: one for each parameter of the model.
+    /// bounds: one for each parameter of the model. level > 0, with Unknowns::all: coefficients and heights are even
+    /// below it, and above in their logarithm.
     SearchSpace(const kernels::Model& model, std::vector<Interval> bounds, Unknowns unknowns = Unknowns::nonlinear,
-                ScaleRange scale = {});
+                ScaleRange scale = {}, double level = 1, Charts charts = Charts::used);
     ~SearchSpace();
     SearchSpace(SearchSpace&&) noexcept;
 
@@ -63,6 +70,8 @@ public:
     /// The model's parameters at u and c, within their bounds, and the scale.
     [[nodiscard]] std::vector<double> parameters(std::span<const double> u, std::span<const double> coefficients,
                                                  double& scale) const;
+    /// A coefficient stands at the end of what is searched (1e100), which is no bound of its parameters.
+    [[nodiscard]] static bool out_of_range(std::span<const double> coefficients);
     /// A point whose candidate has (nearly) these parameters, clamped into the cube.
     [[nodiscard]] std::vector<double> coordinates(const std::vector<double>& parameters, double scale) const;
     /// Where starts should lie: [min, max] within [0, 1], one for each coordinate.

@@ -67,10 +67,12 @@ void describe_errors(const Channel& channel, const Weighted& weighted, std::size
         fit.scans.push_back({theta_i_deg, errors.rmse(), errors.log10_rmse()});
 
     // Gaussian noise of unknown size under the loss's weights: -2 ln L = n ln loss^2 + constant; it counts as one
-    // parameter. A perfect fit is held at the smallest normal number, for the logarithm's sake.
+    // parameter. A loss that is rounding is held at rounding's size: no evidence, and a finite logarithm.
     const auto n = static_cast<double>(weighted.used);
     const double k = static_cast<double>(free) + 1;
-    const double deviance = n * std::log(std::max(fit.loss * fit.loss, std::numeric_limits<double>::min()));
+    constexpr double kRounding = 1e-14;  // of the data
+    const double loss = std::max(fit.loss, kRounding * weighted.norm);
+    const double deviance = n * std::log(std::max(loss * loss, std::numeric_limits<double>::min()));
     if (n > k + 1) fit.aicc = deviance + 2 * k + 2 * k * (k + 1) / (n - k - 1);
     fit.bic = deviance + k * std::log(n);
 }

@@ -19,7 +19,8 @@ struct Residuals {
 };
 Residuals residuals(const Weighted& weighted, std::span<const double> f);
 
-/// rmse, error in decades, errors by incidence angle, AICc and BIC of `free` parameters, into the fit.
+/// rmse, error in decades, errors by incidence angle, AICc and BIC of `free` parameters, into the fit. A loss below
+/// 1e-14 of the data counts as that much.
 void describe_errors(const Channel& channel, const Weighted& weighted, std::size_t free, Fit& fit);
 
 /// Standard errors of the free parameters by the sandwich A^-1 B A^-1, A = sum w J J', B = sum (w r)^2 J J' with each

@@ -13,6 +13,7 @@
 
 #include "optim/fit.h"
 #include "optim/statistics.h"
+#include "tests/fits/fitting.h"
 #include "tests/support.h"
 
 namespace brdfit::tests {
@@ -32,15 +33,6 @@ using optim::StopReason;
 using optim::Unit;
 
 const std::filesystem::path kSource = BRDFIT_SOURCE_DIR;
-
-Fitter& fitter() {
-    static Fitter& instance = []() -> Fitter& {
-        static Fitter built(engine(), std::max(1U, std::thread::hardware_concurrency()));
-        for (const kernels::Family& family : catalogue().families()) built.warm_up(family);
-        return built;
-    }();
-    return instance;
-}
 
 const std::vector<Dataset>& samples() {
     static const std::vector<Dataset> instance = read_folder(kSource / "samples");
@@ -64,33 +56,6 @@ const std::vector<Dataset>& measured() {
     return instance;
 }
 
-/// "phong", or "lafortune_2" for two lobes.
-ModelRequest request(const std::string& name) {
-    const auto digit = name.find_last_of("0123456789");
-    ModelRequest result;
-    if (digit == name.size() - 1) {
-        result.family = catalogue().find(name.substr(0, name.size() - 2));
-        result.lobes = static_cast<std::size_t>(name[digit] - '0');
-    } else {
-        result.family = catalogue().find(name);
-    }
-    return result;
-}
-
-std::vector<ModelRequest> requests(const std::vector<std::string>& names) {
-    std::vector<ModelRequest> result;
-    for (const std::string& name : names) result.push_back(request(name));
-    return result;
-}
-
-std::string label(const Fit& fit) { return fit.lobes == 0 ? fit.model : fit.model + "_" + std::to_string(fit.lobes); }
-
-const Fit& only(const Report& report, std::size_t channel = 0) {
-    const optim::ChannelReport& c = report.channels.at(channel);
-    if (c.fits.size() != 1) throw std::runtime_error(c.failures.empty() ? "no fit" : c.failures.front().detail);
-    return c.fits.front();
-}
-
 Fit fit_one(const Dataset& dataset, const ModelRequest& model, const FitOptions& options = {}) {
     return only(fitter().fit(dataset, {model}, options));
 }
@@ -99,14 +64,6 @@ FitOptions with_seed(std::uint64_t seed) {
     FitOptions options;
     options.seed = seed;
     return options;
-}
-
-Dataset dataset_of(Channel channel) { return {"test", Unit::per_steradian, {std::move(channel)}}; }
-
-std::vector<double> values_of(const Fit& fit) {
-    std::vector<double> values;
-    for (const auto& p : fit.parameters) values.push_back(p.value);
-    return values;
 }
 
 // ---- recovery ----

@@ -410,6 +410,25 @@ TEST(Plot, HoldsOverManyDecades) {
     EXPECT_EQ(picture.texts("105"), 1u);
 }
 
+TEST(Plot, NumbersThatNeedAnExponentStayNarrow) {
+    for (const double factor : {1e-30, 1e6}) {
+        Report report = typical();
+        ChannelReport& channel = report.channels[0];
+        for (optim::Sample& s : channel.channel.samples) s.brdf *= factor;
+        for (Fit& fit : channel.fits) {
+            fit.loss *= factor;
+            for (double& value : fit.values) value *= factor;
+            for (Fit::Curve& curve : fit.curves)
+                for (double& value : curve.brdf) value *= factor;
+        }
+        expect_sound(report);
+        const Picture picture = parse(plot_brdf(report, {}));
+        // Between powers of ten an axis has bare digits: there is no room for more beside its title.
+        EXPECT_GE(picture.texts(factor < 1 ? "10−30" : "106"), 1U) << factor;
+        EXPECT_EQ(picture.texts("5×10"), 0U) << factor;
+    }
+}
+
 TEST(Plot, BreaksCurvesWhereTheModelHasNoLogarithm) {
     Report report = single(fitted(channel_of({30}), {"ward"}));
     Fit& fit = report.channels[0].fits[0];

@@ -240,11 +240,10 @@ TEST_P(EverySpace, EveryPointOfTheBoundsHasCoordinates) {
             if (std::any_of(u.begin(), u.end(), [](double x) { return x == 0 || x == 1; })) continue;
             ++reached;
             std::vector<double> c = model.coefficients(p);
-            if (unknowns == Unknowns::nonlinear)
-                for (std::size_t t = 0; t < model.terms.size(); ++t)
-                    if (const auto& h = model.terms[t].homogeneous)
-                        c[t] =
-                            std::pow(std::max(std::abs(p[h->plane.first]), std::abs(p[h->plane.second])), p[h->degree]);
+            for (std::size_t t = 0; t < model.terms.size(); ++t)
+                if (const auto& h = model.terms[t].homogeneous)
+                    c[t] = std::pow(std::max(std::abs(p[h->plane.first]), std::abs(p[h->plane.second])), p[h->degree]);
+            if (unknowns == Unknowns::all) c = space.candidate(u).lower;
             double scale = 0;
             const std::vector<double> back = space.parameters(u, c, scale);
             for (std::size_t k = 0; k < p.size(); ++k)
