@@ -9,11 +9,9 @@
 #include <vector>
 
 #include "kernels/model.h"
+#include "kernels/precision.h"
 
 namespace brdfit::kernels {
-
-/// Arithmetic of the kernels; the host computes in double.
-enum class Precision { single_precision, double_precision };
 
 struct DeviceInfo {
     std::string name;

@@ -34,7 +34,7 @@ struct Evaluator::Impl {
         for (std::size_t j = 0; j < padded; ++j) {
             const Angles angles(canonical(count == 0 ? Direction{} : directions[std::min(j, count - 1)]));
             for (std::size_t i = 0; i < geometry_columns().size(); ++i)
-                columns[i * padded + j] = geometry_columns()[i].value(angles);
+                columns[i * padded + j] = geometry_columns()[i].read(angles, precision);
         }
         const auto pad = [&](std::span<const double> values) {
             std::vector<double> result(values.begin(), values.end());

@@ -43,18 +43,20 @@ long double tangential_sum_squared(const Angles& d) {
     return sqr(2 * d.cos_half_sum * d.sin_half_difference) + 4 * d.lift;
 }
 
-double log_cos_alpha(const Angles& d) {
+long double log_cos_alpha(const Angles& d) {
     const long double q = 2 * (sqr(d.sin_half_difference) + d.lift);  // 1 - cos alpha
-    if (q < 0.5L) return static_cast<double>(std::log1p(-q));
+    if (q < 0.5L) return std::log1p(-q);
     // Two forms of cos alpha, beyond the normal each a difference: the one of the smaller terms.
     const long double height = d.cos_i * d.cos_r;
     const long double c = d.sin_r > 0 || height < std::abs(d.cos_sum_of_angles) ? height + d.sin_i * d.sin_r * d.cos_phi
                                                                                 : d.cos_sum_of_angles - 2 * d.lift;
-    return c > 0 ? static_cast<double>(std::log(c)) : -1e30;
+    return c > 0 ? std::log(c) : -1e30L;
 }
 
-/// A column's value, rounded once.
-#define COLUMN(expression) [](const Angles& d) { return static_cast<double>(expression); }
+long double hxy(const Angles& d) { return -d.sin_i * d.sin_r * d.cos_phi; }
+long double hz(const Angles& d) { return d.cos_i * d.cos_r; }
+
+#define COLUMN(expression) [](const Angles& d) { return expression; }
 
 constexpr std::array kColumns{
     GeometryColumn{"ci", "cos theta_i", COLUMN(d.cos_i)},
@@ -72,8 +74,10 @@ constexpr std::array kColumns{
     GeometryColumn{"sd2", "sin^2 theta_d", COLUMN(sqr(d.sin_half_sum) - d.lift)},
     GeometryColumn{"G", "(4 cos^2 theta_d/(cos theta_i + cos theta_r))^2, He and Torrance's geometric factor",
                    COLUMN(sqr(4 * (sqr(d.cos_half_sum) + d.lift) / (d.cos_i + d.cos_r)))},
-    GeometryColumn{"hxy", "u_x v_x + u_y v_y", COLUMN(-d.sin_i* d.sin_r* d.cos_phi)},
-    GeometryColumn{"hz", "u_z v_z", COLUMN(d.cos_i* d.cos_r)},
+    GeometryColumn{"hxy", "u_x v_x + u_y v_y", hxy},
+    GeometryColumn{"hxy_low", "hxy less its rounded value", hxy, GeometryColumn::Part::remainder},
+    GeometryColumn{"hz", "u_z v_z", hz},
+    GeometryColumn{"hz_low", "hz less its rounded value", hz, GeometryColumn::Part::remainder},
 };
 #undef COLUMN
 
@@ -87,6 +91,13 @@ Direction canonical(const Direction& direction) {
         d.theta_r_deg = -d.theta_r_deg;
     }
     return d;
+}
+
+double GeometryColumn::read(const Angles& angles, Precision precision) const {
+    const long double exact = value(angles);
+    const bool single = precision == Precision::single_precision;
+    const double rounded = single ? static_cast<double>(static_cast<float>(exact)) : static_cast<double>(exact);
+    return part == Part::rounded ? rounded : static_cast<double>(exact - rounded);
 }
 
 std::span<const GeometryColumn> geometry_columns() { return kColumns; }

@@ -6,6 +6,8 @@
 #include <string_view>
 #include <vector>
 
+#include "kernels/precision.h"
+
 namespace brdfit::kernels {
 
 /// A pair of directions. Angles in degrees.
@@ -32,11 +34,18 @@ struct Angles {
     long double cos_half_sum;
 };
 
-/// One geometry column: a member of the kernels' struct Geometry.
+/// One geometry column: a member of the kernels' struct Geometry. Of a value that kernels subtract from its like, a
+/// second column holds what rounding takes off it.
 struct GeometryColumn {
+    enum class Part { rounded, remainder };
+
     std::string_view name;
     std::string_view doc;
-    double (*value)(const Angles&);  ///< rounded once, without cancellation
+    long double (*value)(const Angles&);  ///< without cancellation
+    Part part = Part::rounded;
+
+    /// What kernels of a precision read.
+    [[nodiscard]] double read(const Angles& angles, Precision precision) const;
 };
 
 /// All columns, in the order of the struct's members.

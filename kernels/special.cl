@@ -19,6 +19,28 @@ inline Exponential exponential(real x) {
     return t;
 }
 
+/* A number to twice the precision, high + low. */
+typedef struct {
+    real high, low;
+} Wide;
+
+inline Wide product_of(real x, real y) {
+    Wide t;
+    t.high = x * y;
+    t.low = fma(x, y, -t.high);
+    return t;
+}
+
+inline Wide sum_of(Wide x, Wide y) {
+    Wide t;
+    const real sum = x.high + y.high;
+    const real from_y = sum - x.high;
+    const real low = (x.high - (sum - from_y)) + (y.high - from_y) + (x.low + y.low);
+    t.high = sum + low;
+    t.low = low - (t.high - sum);
+    return t;
+}
+
 /* Complex numbers, for Fresnel's equations. */
 typedef struct {
     real re, im;

@@ -23,19 +23,7 @@
   "traits": {"reciprocal": true, "energy_conserving": false}
 }*/
 
-/* A number to twice the precision, high + low: the slopes by sigma and tau are differences of large terms, which would
- * show what its rounding does to g, a and h. */
-typedef struct {
-    real high, low;
-} Wide;
-
-inline Wide product_of(real x, real y) {
-    Wide t;
-    t.high = x * y;
-    t.low = fma(x, y, -t.high);
-    return t;
-}
-
+/* What rounding would do to g, a and h shows in the slopes by sigma and tau, which are differences of large terms. */
 inline Wide quotient_of(real x, real y) {
     Wide t;
     t.high = x / y;
@@ -69,7 +57,8 @@ inline Shadow shadow(real tan_theta, Wide slope) {
     const real E_high = exp(-h2.high);
     const real E = E_high - E_high * (h2.low + 2.0 * h * h_low);
     const real erfc_h = E_high * (erfcx(h) * (1.0 - h2.low) - 2.0 / sqrt((real)PI) * h_low);
-    const real x = sqrt((real)PI) * h * (2.0 - erfc_h);
+    const real erfc_minus_h = 2.0 - erfc_h;
+    const real x = sqrt((real)PI) * fma(h, erfc_minus_h, h_low * erfc_minus_h);
     t.S = x / (x + E);
     t.S_slope = E / (x + E) + 2.0 * h2.high * E / x;
     t.K = tan_theta * erfc_h;
@@ -123,7 +112,7 @@ inline Fresnel fresnel(real n, real k, real cd2, real sd2) {
 }
 
 /* Sums over m >= 1 of the Poisson weights t_m = e^-g g^m/m! e^(-a/m), each to be multiplied by height twice, so that
- * neither the sums nor the height leave the range of numbers before their product does:
+ * neither leaves the range of numbers before the product does; the height is 1 unless the sums are tiny:
  * M1 = sum t_m/m, M2 = sum t_m/m^2 = -dM1/da, Q = sum t_m (m - g)/m = g dM1/dg. */
 typedef struct {
     real M1, M2, Q, height;
@@ -149,6 +138,7 @@ inline Series poisson_series(real g, real a) {
     const real peak = poisson_deviance(mode, g) + a / mode;
     const mask seen = peak < LOG_UNSEEN;
     if (!any_lane(seen)) return t;
+    const real lift = sel(peak > LOG_SHIFT, peak, 0.0); /* what the sums are scaled by */
 
     /* The window that holds all but eps of the sum, log_epsilon = ln(1/eps); its upper end is a Bernstein bound. Beyond
      * the mode terms fall faster and faster, so a sum may end once a term is negligible. */
@@ -163,8 +153,8 @@ inline Series poisson_series(real g, real a) {
      * adding up; Q, where sqrt(g) digits cancel, would show it. The same m in every lane, four between looks at the end.
      * Weight and exponential each take a share of the height. */
     if (any_lane(direct)) {
-        const real weight_shift = fmin(peak, (real)LOG_SHIFT);
-        const real shift = fmin(peak - weight_shift, (real)LOG_SHIFT);
+        const real weight_shift = fmin(lift, (real)LOG_SHIFT);
+        const real shift = fmin(lift - weight_shift, (real)LOG_SHIFT);
         real weight = sel(direct, g * exp(-g) * exp(weight_shift), 0.0);
         real weight_low = 0.0;
         scalar m = 1.0;
@@ -214,7 +204,7 @@ inline Series poisson_series(real g, real a) {
                 inverse * (1.0 / 12.0 -
                            z * (1.0 / 360.0 - z * (1.0 / 1260.0 - z * (1.0 / 1680.0 - z * (1.0 / 1188.0)))));
             const real stirling_slope = inverse * (1.0 / 12.0 - z * (1.0 / 120.0 - z * (1.0 / 252.0)));
-            const real density = stride * exp(peak - deviance - a * inverse - stirling) * sqrt(inverse / (2.0 * PI));
+            const real density = stride * exp(lift - deviance - a * inverse - stirling) * sqrt(inverse / (2.0 * PI));
             const real term = sel(active, density * inverse, 0.0);
             b.M1 += term;
             b.M2 += term * inverse;
@@ -225,7 +215,7 @@ inline Series poisson_series(real g, real a) {
         t.M1 = sel(bell, b.M1, t.M1);
         t.M2 = sel(bell, b.M2, t.M2);
         t.Q = sel(bell, b.Q, t.Q);
-        t.height = sel(bell, exp(-0.5 * peak), t.height);
+        t.height = sel(bell, exp(-0.5 * lift), t.height);
     }
     return t;
 }

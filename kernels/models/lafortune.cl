@@ -26,10 +26,15 @@
 void brdf(Params p, Geometry s, Terms *f) {
     f->diffuse.value = 1.0 / PI;
     for (int j = 0; j < LOBES; ++j) {
-        const real b = p.lobe[j].c_xy * s.hxy + p.lobe[j].c_z * s.hz;
-        const mask lit = b > 0.0;
-        const real base = sel(lit, b, 1.0);
-        const real l = log(base);
+        /* The products may cancel, and the exponent magnifies what is left: b = high + low throughout. */
+        Wide tangential = product_of(p.lobe[j].c_xy, s.hxy);
+        Wide normal = product_of(p.lobe[j].c_z, s.hz);
+        tangential.low += p.lobe[j].c_xy * s.hxy_low;
+        normal.low += p.lobe[j].c_z * s.hz_low;
+        const Wide b = sum_of(tangential, normal);
+        const mask lit = b.high > 0.0;
+        const real base = sel(lit, b.high, 1.0);
+        const real l = log(base) + sel(lit, b.low, 0.0) / base;
         const Exponential v = exponential(fmin(p.lobe[j].n * l, (real)LOG_HUGE)); /* saturates */
         const real value = sel(lit, v.mantissa, 0.0);
         const real slope = fmin(p.lobe[j].n / base, (real)HUGE_SLOPE);

@@ -23,7 +23,8 @@ void check(const api::EvaluateRequest& request) {
     fuzz::require(!request.directions.empty() && request.directions.size() <= api::kMostRows, "1 to 100000 rows");
     for (const kernels::Direction& d : request.directions)
         for (const kernels::GeometryColumn& column : kernels::geometry_columns())
-            fuzz::require(std::isfinite(column.value(kernels::Angles(kernels::canonical(d)))),
+            fuzz::require(std::isfinite(column.read(kernels::Angles(kernels::canonical(d)),
+                                                    kernels::Precision::double_precision)),
                           std::string(column.name));
     kernels::Values values;
     values.f.assign(request.directions.size(), NAN);  // not finite: null

@@ -186,7 +186,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data, std::size_t size
     std::vector<double> columns;
     for (const kernels::GeometryColumn& c : kernels::geometry_columns())
         for (const kernels::Direction& d : at.directions)
-            columns.push_back(c.value(kernels::Angles(kernels::canonical(d))));
+            columns.push_back(c.read(kernels::Angles(kernels::canonical(d)), kernel.precision));
     check_terms(at, columns);
     check_projection(at, columns, bytes);
     return 0;

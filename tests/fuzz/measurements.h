@@ -28,7 +28,9 @@ inline void check_dataset(const optim::Dataset& dataset) {
             require(std::abs(sample.brdf) <= 1e30, "brdf");
             if (sample.sigma) require(*sample.sigma > 0 && *sample.sigma <= 1e30, "sigma");
             for (const kernels::GeometryColumn& column : kernels::geometry_columns())
-                require(std::isfinite(column.value(kernels::Angles(kernels::canonical(d)))), std::string(column.name));
+                require(std::isfinite(
+                            column.read(kernels::Angles(kernels::canonical(d)), kernels::Precision::double_precision)),
+                        std::string(column.name));
         }
     }
     require(samples <= api::kMostSamples, "at most a million samples");

@@ -89,7 +89,7 @@ TEST_P(HostTest, ProjectsAsTheDeviceDoes) {
     for (const Precision precision : {Precision::double_precision, Precision::single_precision}) {
         if (!engine().supports(precision)) continue;
         const std::vector<double> rows =
-            host_kernel(model, precision).project(columns_of(directions), y, w, parameters, lower, upper);
+            host_kernel(model, precision).project(columns_of(directions, precision), y, w, parameters, lower, upper);
         kernels::Evaluator evaluator(engine(), model, precision, directions, y, w);
         kernels::Batch batch;
         evaluator.project(parameters, lower, upper, true, batch);

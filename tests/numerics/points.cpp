@@ -185,7 +185,8 @@ bool is_diffuse(const Model& model, std::size_t parameter) {
 }
 
 /// A lobe b^n with b = x hxy + y hz has the slopes n b^(n-1) hxy, whose own condition is |n - 1| K with
-/// K = (|x hxy| + |y hz|)/|b|. The value's, n K weighted with the lobe's share of f, does not cover that.
+/// K = (|x hxy| + |y hz|)/|b|. The value's, n K weighted with the lobe's share of f, does not cover that. The kernel
+/// keeps b to twice the precision, of which hxy and hz have the 64 bits of long double: 2^-11 of it is left, in double.
 long double homogeneous_condition(const Model& model, const Point& point) {
     const Angles angles(point.direction);
     long double largest = 0;
@@ -220,7 +221,8 @@ Golden golden(const Model& model, const Point& point) {
             if (!is_diffuse(model, j))
                 result.condition +=
                     std::abs(static_cast<long double>(point.parameters[j]) * result.gradient[j] / result.specular);
-    result.slope_condition.assign(point.parameters.size(), result.condition + homogeneous_condition(model, point));
+    result.slope_condition.assign(point.parameters.size(),
+                                  result.condition + homogeneous_condition(model, point) / 1024);
     if (model.name == "he_torrance") {
         // Slopes by sigma and tau are differences of terms of this size.
         result.slope_condition[0] += 2 * jet.steepness.convert_to<long double>();
@@ -235,7 +237,8 @@ Golden golden(const Model& model, const Point& point) {
 
 std::vector<double> on_host(const Model& model, Precision precision, const std::vector<double>& parameters,
                             const std::vector<Direction>& directions) {
-    return host_kernel(model, precision).terms(columns_of(directions), static_cast<int>(directions.size()), parameters);
+    return host_kernel(model, precision)
+        .terms(columns_of(directions, precision), static_cast<int>(directions.size()), parameters);
 }
 
 auto on(kernels::Engine& (*device)()) {
@@ -325,10 +328,11 @@ const HostKernel& host_kernel(const Model& model, Precision precision) {
     return *std::find_if(all.begin(), all.end(), [&](const HostKernel& k) { return k.label == label(model); });
 }
 
-std::vector<double> columns_of(const std::vector<Direction>& directions) {
+std::vector<double> columns_of(const std::vector<Direction>& directions, Precision precision) {
     std::vector<double> columns;
     for (const kernels::GeometryColumn& c : kernels::geometry_columns())
-        for (const Direction& direction : directions) columns.push_back(c.value(kernels::Angles(canonical(direction))));
+        for (const Direction& direction : directions)
+            columns.push_back(c.read(kernels::Angles(canonical(direction)), precision));
     return columns;
 }
 

@@ -73,7 +73,7 @@ const std::vector<Backend>& backends();
 
 const HostKernel& host_kernel(const kernels::Model& model, kernels::Precision precision);
 /// The geometry table, a column after the other.
-std::vector<double> columns_of(const std::vector<kernels::Direction>& directions);
+std::vector<double> columns_of(const std::vector<kernels::Direction>& directions, kernels::Precision precision);
 
 /// f_spec and df/dp as a kernel has them.
 struct Measured {
