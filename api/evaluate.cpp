@@ -43,12 +43,14 @@ void read_geometry(const json& value, const Place& place, Raw& out) {
     Columns columns;
     read_object<Columns>(value, place, kGeometryFields, columns);
     if (!value.is_object() || !value.contains("theta_i_deg") || !value.contains("theta_r_deg")) return;
+    if (!value["theta_r_deg"].is_array()) return;  // told by its field
     const std::size_t n = columns.theta_r.size();
     bool whole = same_length(place, "theta_i_deg", columns.theta_i.size(), n);
     if (value.contains("phi_deg")) whole = same_length(place, "phi_deg", columns.phi.size(), n) && whole;
     else columns.phi.assign(n, 0.0);
     if (n == 0 || n > kMostRows) {
-        place.at("theta_r_deg").fail("too_many", "must have 1 to " + std::to_string(kMostRows) + " elements");
+        place.at("theta_r_deg")
+            .fail(n == 0 ? "too_few" : "too_many", "must have 1 to " + std::to_string(kMostRows) + " elements");
         return;
     }
     for (std::size_t j = 0; whole && j < n; ++j)
@@ -104,7 +106,7 @@ void read_parameters(const Raw& raw, const Place& place, EvaluateRequest& reques
         // In the model's unit the number may have become too large for a double.
         if (request.parameters.back() < p.domain_min || request.parameters.back() > p.domain_max ||
             !std::isfinite(request.parameters.back()))
-            at.fail("out_of_range", "outside the values the model is defined for");
+            at.fail("out_of_range", domain_rule(p, channel));
     }
 }
 

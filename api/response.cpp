@@ -80,12 +80,16 @@ Json channel_json(const optim::ChannelReport& channel, const std::string& plots,
     return json;
 }
 
+/// null for a domain without an end.
+Json bound_json(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
+
 Json model_parameter_json(const kernels::Model& model, std::size_t index) {
     const kernels::Parameter& p = model.parameters[index];
     return {{"name", p.name},
             {"unit", p.unit},
             {"min", p.min},
             {"max", p.max},
+            {"domain", {bound_json(p.domain_min), bound_json(p.domain_max)}},
             {"scale", p.scale == kernels::Scale::logarithmic ? "log" : "linear"},
             {"linear", model.is_linear(index)},
             {"doc", p.doc}};

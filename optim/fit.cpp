@@ -438,6 +438,13 @@ std::string wire_unit(const kernels::Parameter& parameter, const Channel& channe
     return channel.wavelength_nm ? "um" : "lambda";
 }
 
+std::string domain_rule(const kernels::Parameter& parameter, const Channel& channel) {
+    const double unit = to_model_unit(parameter, channel);
+    const std::string name = wire_unit(parameter, channel);
+    return fmt::format("the model is defined from {:g} to {:g}{}", parameter.domain_min / unit,
+                       parameter.domain_max / unit, name == "1" ? "" : " " + name);
+}
+
 std::vector<Interval> parameter_bounds(const Model& model, const ModelRequest& request, const Channel& channel) {
     std::vector<Interval> bounds;
     for (const kernels::Parameter& parameter : model.parameters) {
@@ -451,7 +458,7 @@ std::vector<Interval> parameter_bounds(const Model& model, const ModelRequest& r
         // In the model's unit a bound may have become too large for a double.
         if (interval.min < parameter.domain_min || interval.max > parameter.domain_max ||
             !std::isfinite(interval.max - interval.min))
-            throw InvalidBounds(parameter.name, "outside the values the model is defined for");
+            throw InvalidBounds(parameter.name, domain_rule(parameter, channel));
         bounds.push_back(interval);
     }
     return bounds;

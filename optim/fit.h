@@ -51,6 +51,9 @@ public:
     std::string parameter;
 };
 
+/// The values of a parameter that a request may name, in words and in the wire's unit.
+std::string domain_rule(const kernels::Parameter& parameter, const Channel& channel);
+
 /// What one unit of the parameter on the wire is in the model's own unit: 1, or 1/wavelength_um.
 double to_model_unit(const kernels::Parameter& parameter, const Channel& channel);
 /// "1", "um", or "lambda" for a length in a channel without a wavelength.

@@ -83,8 +83,8 @@ inline Fresnel fresnel(real n, real k, real cd2, real sd2) {
     const mask refracts = A >= 0.0;
     const real longer = fmax(fabs(A), N2.im);
     const real ratio = fmin(fabs(A), N2.im) / fmax(longer, (real)TINY);
-    const real large = fmax(0.5 * (longer * sqrt(1.0 + sqr(ratio)) + fabs(A)), (real)TINY);
-    const real small = sqr(n * k) / large;
+    const real large = 0.5 * (longer * sqrt(1.0 + sqr(ratio)) + fabs(A)); /* 0 at the onset of total reflection */
+    const real small = sqr(n * k) / fmax(large, (real)TINY);
     const real a = sqrt(sel(refracts, large, small));
     const real b2 = sel(refracts, small, large);
     const complex_real q = complex_of(a, sqrt(b2));
@@ -98,7 +98,7 @@ inline Fresnel fresnel(real n, real k, real cd2, real sd2) {
     /* dF/dN = conj(r_s) r_s' + conj(r_p) r_p'; as c^2 - q^2 = 1 - N^2 and N^4 c^2 - q^2 = (N^2 - 1)(N^2 c^2 - s^2) it is
      * 2c N conj(q)/|q|^2 [conj(N^2 - 1)/|q + c|^4 + (N^2 - 2 s^2) conj((N^2 - 1)(N^2 c^2 - s^2))/|N^2 c + q|^4],
      * without a difference of nearly equal terms. dF/dn is its real part, dF/dk minus its imaginary part. */
-    const real q_norm = large + small;
+    const real q_norm = fmax(large + small, (real)TINY);
     const real p_norm = sqr(N2.re * c + q.re) + sqr(N2.im * c + q.im);
     const complex_real s_part = complex_scaled(complex_scaled(complex_conjugate(N2_1), 1.0 / s_norm), 1.0 / s_norm);
     const complex_real p_part = complex_times(
@@ -226,7 +226,7 @@ inline real raised(real x, Series M) { return saturated(x) * M.height * M.height
 void brdf(Params p, Geometry s, Terms *f) {
     f->diffuse.value = 1.0 / PI;
 
-    const real sigma = fmax(p.sigma, (real)1e-18); /* 0 is a smooth surface: no lobe, and no division by 0 */
+    const real sigma = fmax(p.sigma, (real)1e-18); /* no division by 0 */
     const real tau = fmax(p.tau, (real)1e-18);
     const Wide slope = quotient_of(tau, sigma);
     const Shadow in = shadow(s.ti, slope);
@@ -245,7 +245,9 @@ void brdf(Params p, Geometry s, Terms *f) {
     const Series M = poisson_series(g, a);
     const Fresnel F = fresnel(p.n, p.k, s.cd2, s.sd2);
 
-    const real base = fmin(s.G * (in.S / s.ci) * (out.S / s.cr) * (sqr(tau) * (PI / 4.0)), (real)HUGE_SLOPE);
+    const mask rough = (p.sigma > 0.0) & (p.tau > 0.0); /* else there is no lobe */
+    const real prefactor = s.G * (in.S / s.ci) * (out.S / s.cr) * (sqr(tau) * (PI / 4.0));
+    const real base = sel(rough, fmin(prefactor, (real)HUGE_SLOPE), 0.0);
     const real shadows = M.M1 * (in.S_slope + out.S_slope);
     f->lobe.value = raised(base * F.F * M.M1, M);
     f->lobe.sigma = raised(base * F.F * ((M.Q * (2.0 - l) - shadows) / sigma), M);

@@ -1,5 +1,6 @@
 // What the models state: symmetries, peaks, limits, slopes.
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -407,6 +408,14 @@ TEST(HeTorrance, VanishesWithTheSquareOfTheRoughness) {
     EXPECT_NEAR(value("he_torrance", {1e-6, 2, 1.5, 0, 0.4}, {30, 40, 0}), 0.4 / kPi, 1e-9);
 }
 
+TEST(HeTorrance, HasNoLobeWhereThereIsNoRoughness) {
+    for (const auto& [sigma, tau] : {std::pair{0.0, 2.0}, {0.0, 1e6}, {0.5, 0.0}, {0.0, 0.0}}) {
+        const Values values = at("he_torrance", {sigma, tau, 1.5, 20, 0}, {{30, 30, 0}, {30, 40, 0}, {0, 0, 0}});
+        EXPECT_THAT(values.f, testing::Each(0.0));
+        for (std::size_t i = 0; i < 4 * values.f.size(); ++i) EXPECT_EQ(values.by_parameter[i], 0);
+    }
+}
+
 TEST(HeTorrance, LeavesOnlyTheDiffuseTermWhereBothDirectionsGraze) {
     // In the mirror direction f_dd falls as cos^4, times the effective roughness, which falls like a logarithm.
     const auto lobe = [](double away) { return value("he_torrance", {0.3, 3, 1.5, 0, 0}, {90 - away, 90 - away, 0}); };
@@ -487,6 +496,8 @@ TEST(HeTorrance, TotalReflectionIsComplete) {
     const double f = value("he_torrance", {0.1, 3, 0.6, 0, 0}, d);
     const double per_reflectance = value("he_torrance", {0.1, 3, 1.5, 0, 0}, d) / reflectance(1.5, 0, 50);
     EXPECT_NEAR(f / per_reflectance, 1, 1e-13);
+    // At its onset the slope by n is infinite from one side; that from the other is given.
+    EXPECT_EQ(at("he_torrance", {0.1, 3, 0.5, 0, 0}, {{30, 30, 0}}).by_parameter[2], 0);
 }
 
 // ---- the paper's white plastic ----

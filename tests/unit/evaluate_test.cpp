@@ -58,12 +58,19 @@ TEST(Evaluate, RefusesWithAPointer) {
     EXPECT_EQ(refused("/parameters/k", "1"), Errors{"/parameters/k wrong_type"});
     EXPECT_EQ(refused("/geometry/phi_deg", json::array({1})), Errors{"/geometry/phi_deg ragged"});
     EXPECT_EQ(refused("/geometry/theta_r_deg", json::array({1, 90})), Errors{"/geometry/theta_r_deg/1 out_of_range"});
+    EXPECT_EQ(refused("/geometry/theta_r_deg", 1), Errors{"/geometry/theta_r_deg wrong_type"});
     EXPECT_EQ(refused("/gradient", 1), Errors{"/gradient wrong_type"});
     EXPECT_EQ(refused("/precision", "half"), Errors{"/precision unknown_value"});
     EXPECT_EQ(refused("/lobes", 2), Errors{"/lobes unknown_key"});
     json request = whole();
     request["parameters"].erase("tau");
     EXPECT_EQ(errors_of(refusal_of([&] { (void)read(request); })), Errors{"/parameters/tau missing"});
+}
+
+TEST(Evaluate, NamesTheDomainInTheUnitOfTheRequest) {
+    json request = whole();
+    request["parameters"]["tau"] = -1;
+    EXPECT_EQ(refusal_of([&] { (void)read(request); }).errors.at(0).detail, "the model is defined from 0 to 500000 um");
 }
 
 TEST(Evaluate, RefusesMoreRowsThanTheLimit) {
