@@ -101,8 +101,9 @@ inline Fresnel fresnel(real n, real k, real cd2, real sd2) {
     const real q_norm = fmax(large + small, (real)TINY);
     const real p_norm = sqr(N2.re * c + q.re) + sqr(N2.im * c + q.im);
     const complex_real s_part = complex_scaled(complex_scaled(complex_conjugate(N2_1), 1.0 / s_norm), 1.0 / s_norm);
+    const real brewster = sel(sd2 < 0.5, A - N2.re * sd2, N2.re * cd2 - sd2); /* Re(N^2 c^2 - s^2) */
     const complex_real p_part = complex_times(
-        complex_times(complex_scaled(complex_conjugate(N2_1), 1.0 / p_norm), complex_of(N2.re * cd2 - sd2, -N2.im * cd2)),
+        complex_times(complex_scaled(complex_conjugate(N2_1), 1.0 / p_norm), complex_of(brewster, -N2.im * cd2)),
         complex_scaled(complex_of(N2.re - 2.0 * sd2, N2.im), 1.0 / p_norm));
     const complex_real N_q = complex_scaled(complex_times(N, complex_conjugate(q)), 2.0 * c / q_norm);
     const complex_real slope = complex_times(N_q, complex_of(s_part.re + p_part.re, s_part.im + p_part.im));

@@ -154,7 +154,7 @@ std::vector<double> draw_he_torrance(Random& random, Direction& direction, bool 
     const double index_kind = random.uniform(0, 1);
     if (index_kind < 0.1) n = 1;
     else if (index_kind < 0.25) n = 1 + log_uniform(random, 1e-12, 0.5) * (random.chance(0.7) ? 1 : -1);
-    else if (index_kind < 0.45 && angles.sd2 > 2.5e-3)  // total reflection, and its onset
+    else if (index_kind < 0.45 && angles.sd2 > 0.01)  // total reflection, and its onset
         n = std::sqrt(angles.sd2) *
             (random.chance(0.5) ? random.uniform(0.2, 1) : 1 + log_uniform(random, 64 * eps, 0.1) * sign(random));
     double k = 0;
@@ -184,9 +184,9 @@ bool is_diffuse(const Model& model, std::size_t parameter) {
                        [&](const kernels::Term& t) { return t.factor == parameter && t.of.empty(); });
 }
 
-/// A lobe b^n with b = x hxy + y hz has the slopes n b^(n-1) hxy, whose own condition is |n - 1| K with
-/// K = (|x hxy| + |y hz|)/|b|. The value's, n K weighted with the lobe's share of f, does not cover that. The kernel
-/// keeps b to twice the precision, of which hxy and hz have the 64 bits of long double: 2^-11 of it is left, in double.
+/// A lobe b^n with b = x hxy + y hz has the slopes n b^(n-1) hxy, whose own condition is |n - 1| K + |1 + n ln b| with
+/// K = (|x hxy| + |y hz|)/|b|. The value's, weighted with the lobe's share of f, does not cover that. The kernel keeps
+/// b to twice the precision, of which hxy and hz have the 64 bits of long double: in double 2^-11 of K is left.
 long double homogeneous_condition(const Model& model, const Point& point) {
     const Angles angles(point.direction);
     long double largest = 0;
@@ -195,7 +195,9 @@ long double homogeneous_condition(const Model& model, const Point& point) {
         const double x = point.parameters[term.homogeneous->plane.first] * angles.hxy;
         const double y = point.parameters[term.homogeneous->plane.second] * angles.hz;
         const double n = point.parameters[term.homogeneous->degree];
-        if (x + y > 0) largest = std::max(largest, (1.0L + n) * (std::abs(x) + std::abs(y)) / (x + y));
+        if (!(x + y > 0)) continue;
+        const long double cancellation = (std::abs(x) + std::abs(y)) / (x + y);
+        largest = std::max(largest, (1.0L + n) * cancellation / 1024 + n * std::abs(std::log(x + y)));
     }
     return largest;
 }
@@ -221,8 +223,7 @@ Golden golden(const Model& model, const Point& point) {
             if (!is_diffuse(model, j))
                 result.condition +=
                     std::abs(static_cast<long double>(point.parameters[j]) * result.gradient[j] / result.specular);
-    result.slope_condition.assign(point.parameters.size(),
-                                  result.condition + homogeneous_condition(model, point) / 1024);
+    result.slope_condition.assign(point.parameters.size(), result.condition + homogeneous_condition(model, point));
     if (model.name == "he_torrance") {
         // Slopes by sigma and tau are differences of terms of this size.
         result.slope_condition[0] += 2 * jet.steepness.convert_to<long double>();
