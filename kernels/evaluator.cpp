@@ -2,27 +2,77 @@
 
 #include <algorithm>
 #include <limits>
+#include <map>
+#include <mutex>
+#include <tuple>
 
 #include "kernels/engine_impl.h"
 
 namespace brdfit::kernels {
 namespace {
 
-/// The most bytes of scratch a launch may take; larger batches go in several launches.
+/// The most bytes of scratch that a launch may take.
 constexpr std::size_t kScratchBytes = std::size_t{64} << 20;
+
+std::size_t size_of(Precision precision) {
+    return precision == Precision::double_precision ? sizeof(double) : sizeof(float);
+}
 
 }  // namespace
 
+struct DirectionSet::Impl {
+    explicit Impl(std::vector<Direction> list) : directions(std::move(list)) {}
+
+    /// The columns on the device, samples padded by copies of the last.
+    cl::Buffer columns(const Engine::Impl& shared, const cl::CommandQueue& queue, Precision precision,
+                       std::size_t padded) {
+        const std::lock_guard lock(mutex);
+        cl::Buffer& buffer = buffers[{shared.context(), precision, padded}];
+        if (buffer() != nullptr) return buffer;
+        const auto table = geometry_columns();
+        std::vector<double> values(table.size() * padded);
+        for (std::size_t j = 0; j < padded; ++j) {
+            if (j >= directions.size() && j > 0) {
+                for (std::size_t i = 0; i < table.size(); ++i) values[i * padded + j] = values[i * padded + j - 1];
+                continue;
+            }
+            const Angles angles(canonical(directions.empty() ? Direction{} : directions[j]));
+            for (std::size_t i = 0; i < table.size(); ++i)
+                values[i * padded + j] = table[i].read(angles, precision);
+        }
+        cl::Buffer made(shared.context, CL_MEM_READ_ONLY, std::max<std::size_t>(1, values.size()) * size_of(precision));
+        if (!values.empty()) {
+            if (precision == Precision::double_precision) {
+                queue.enqueueWriteBuffer(made, CL_TRUE, 0, values.size() * sizeof(double), values.data());
+            } else {
+                const std::vector<float> single(values.begin(), values.end());
+                queue.enqueueWriteBuffer(made, CL_TRUE, 0, single.size() * sizeof(float), single.data());
+            }
+        }
+        return buffer = made;
+    }
+
+    std::vector<Direction> directions;
+    std::mutex mutex;  // guards buffers
+    std::map<std::tuple<cl_context, Precision, std::size_t>, cl::Buffer> buffers;
+};
+
+DirectionSet::DirectionSet(std::vector<Direction> directions)
+    : impl_(std::make_shared<Impl>(std::move(directions))) {}
+
+std::span<const Direction> DirectionSet::directions() const { return impl_->directions; }
+
 /// Buffers hold `scalar`s; the host side is double. One conversion each way, here.
 struct Evaluator::Impl {
-    Impl(Engine& engine, const Model& model_in, Precision precision_in, std::span<const Direction> directions,
+    Impl(Engine& engine, const Model& model_in, Precision precision_in, const DirectionSet& directions,
          std::span<const double> y, std::span<const double> w)
         : shared(engine.impl()),
           model(model_in),
           precision(precision_in),
           lanes(shared.lanes(precision)),
-          count(directions.size()),
+          count(directions.directions().size()),
           padded((count + lanes - 1) / lanes * lanes),
+          nonlinear(model.nonlinear().size()),
           queue(shared.context, shared.device) {
         const cl::Program program = shared.program(model, precision);
         project = cl::Kernel(program, "project");
@@ -30,29 +80,27 @@ struct Evaluator::Impl {
         loss = cl::Kernel(program, "loss");
         terms = cl::Kernel(program, "terms");
 
-        std::vector<double> columns(geometry_columns().size() * padded);
-        for (std::size_t j = 0; j < padded; ++j) {
-            const Angles angles(canonical(count == 0 ? Direction{} : directions[std::min(j, count - 1)]));
-            for (std::size_t i = 0; i < geometry_columns().size(); ++i)
-                columns[i * padded + j] = geometry_columns()[i].read(angles, precision);
-        }
+        columns_buffer = directions.impl().columns(shared, queue, precision, padded);
         const auto pad = [&](std::span<const double> values) {
             std::vector<double> result(values.begin(), values.end());
             result.resize(padded, 0.0);
             return result;
         };
-        upload(columns_buffer, columns);
         upload(y_buffer, pad(y));
         upload(w_buffer, pad(w));
-    }
-
-    [[nodiscard]] std::size_t scalar_size() const {
-        return precision == Precision::double_precision ? sizeof(double) : sizeof(float);
+        for (cl::Kernel* kernel : {&project, &project_value, &loss}) {
+            kernel->setArg(0, columns_buffer);
+            kernel->setArg(1, y_buffer);
+            kernel->setArg(2, w_buffer);
+            kernel->setArg(3, static_cast<cl_int>(padded));
+        }
+        terms.setArg(0, columns_buffer);
+        terms.setArg(1, static_cast<cl_int>(padded));
     }
 
     /// Makes the buffer at least that many scalars large.
     void reserve(cl::Buffer& buffer, std::size_t scalars) const {
-        const std::size_t bytes = std::max<std::size_t>(scalars, 1) * scalar_size();
+        const std::size_t bytes = std::max<std::size_t>(scalars, 1) * size_of(precision);
         if (buffer() == nullptr || buffer.getInfo<CL_MEM_SIZE>() < bytes)
             buffer = cl::Buffer(shared.context, CL_MEM_READ_WRITE, bytes);
     }
@@ -78,42 +126,69 @@ struct Evaluator::Impl {
         }
     }
 
-    [[nodiscard]] std::size_t out_stride() const { return 1 + 2 * model.terms.size() + model.parameters.size(); }
+    [[nodiscard]] std::size_t in_stride() const { return model.parameters.size() + 2 * model.terms.size(); }
+    [[nodiscard]] std::size_t normals() const {
+        const std::size_t unknowns = model.terms.size() + nonlinear;
+        return unknowns * (unknowns + 1) / 2;
+    }
+    [[nodiscard]] std::size_t out_stride() const {
+        return 1 + 2 * model.terms.size() + model.parameters.size() + normals();
+    }
 
-    /// Candidates that fit into one launch's scratch.
+    /// Candidates whose terms fit into one launch's scratch.
     [[nodiscard]] std::size_t launch_limit() const {
-        const std::size_t bytes = padded * model.term_values() * scalar_size();
+        const std::size_t bytes = padded * model.term_values() * size_of(precision);
         return std::max<std::size_t>(1, kScratchBytes / std::max<std::size_t>(bytes, 1));
     }
 
     /// On a CPU one work-item takes everything: it runs in this thread, other threads run other launches. And PoCL 3.1
     /// keeps a loaded kernel for each width of grid but looks only at the kernel when it lets go of one: two widths in
     /// two threads end the process ("found->ref_count > 0").
-    void launch(const cl::Kernel& kernel, std::size_t items) {
-        const std::size_t width = shared.info.type == "cpu" ? 1 : items;
-        queue.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange(width), cl::NDRange(1));
+    [[nodiscard]] std::size_t width(std::size_t items) const {
+        return shared.info.type == "cpu" ? 1 : std::min(items, launch_limit());
     }
 
-    void read_batch(std::size_t first, std::size_t candidates, Batch& out) {
-        const std::size_t t = model.terms.size();
+    void launch(const cl::Kernel& kernel, std::size_t items) {
+        queue.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange(width(items)), cl::NDRange(1));
+    }
+
+    /// Runs `kernel` over the candidates; its arguments are set but for their number, in and out.
+    void run(cl::Kernel& kernel, std::span<const double> parameters, std::span<const double> lower,
+             std::span<const double> upper, cl_uint out_argument, bool gradient, Batch& out) {
         const std::size_t p = model.parameters.size();
+        const std::size_t t = model.terms.size();
+        const std::size_t candidates = parameters.size() / p;
+        rows.resize(candidates * in_stride());
+        for (std::size_t i = 0; i < candidates; ++i) {
+            double* row = rows.data() + i * in_stride();
+            std::copy_n(parameters.data() + i * p, p, row);
+            std::copy_n(lower.data() + i * t, t, row + p);
+            std::copy_n(upper.data() + i * t, t, row + p + t);
+        }
+        upload(in_buffer, rows);
+        reserve(out_buffer, candidates * out_stride());
+        kernel.setArg(4, static_cast<cl_int>(candidates));
+        kernel.setArg(5, in_buffer);
+        kernel.setArg(out_argument, out_buffer);
+        if (candidates > 0) launch(kernel, candidates);
         rows.resize(candidates * out_stride());
         download(out_buffer, rows);
+
+        out.loss.resize(candidates);
+        out.coefficients.resize(candidates * t);
+        out.by_coefficient.resize(gradient ? candidates * t : 0);
+        out.by_parameter.resize(gradient ? candidates * p : 0);
+        out.normal.resize(gradient ? candidates * normals() : 0);
         for (std::size_t i = 0; i < candidates; ++i) {
             const double* row = rows.data() + i * out_stride();
-            const std::size_t to = first + i;
-            out.loss[to] = row[0];
-            std::copy_n(row + 1, t, out.coefficients.begin() + static_cast<std::ptrdiff_t>(to * t));
-            std::copy_n(row + 1 + t, t, out.by_coefficient.begin() + static_cast<std::ptrdiff_t>(to * t));
-            std::copy_n(row + 1 + 2 * t, p, out.by_parameter.begin() + static_cast<std::ptrdiff_t>(to * p));
+            out.loss[i] = *row++;
+            std::copy_n(row, t, out.coefficients.data() + i * t);
+            if (!gradient) continue;
+            row += t;
+            std::copy_n(row, t, out.by_coefficient.data() + i * t);
+            std::copy_n(row + t, p, out.by_parameter.data() + i * p);
+            std::copy_n(row + t + p, normals(), out.normal.data() + i * normals());
         }
-    }
-
-    void resize(std::size_t candidates, Batch& out) const {
-        out.loss.resize(candidates);
-        out.coefficients.resize(candidates * model.terms.size());
-        out.by_coefficient.resize(candidates * model.terms.size());
-        out.by_parameter.resize(candidates * model.parameters.size());
     }
 
     Engine::Impl& shared;
@@ -122,15 +197,16 @@ struct Evaluator::Impl {
     unsigned lanes;
     std::size_t count;
     std::size_t padded;
+    std::size_t nonlinear;
     cl::CommandQueue queue;
     cl::Kernel project, project_value, loss, terms;
     cl::Buffer columns_buffer, y_buffer, w_buffer;
-    cl::Buffer parameters_buffer, lower_buffer, upper_buffer, scratch_buffer, out_buffer;
+    cl::Buffer in_buffer, scratch_buffer, out_buffer;
     std::vector<float> single;  // staging for conversions
     std::vector<double> rows;
 };
 
-Evaluator::Evaluator(Engine& engine, const Model& model, Precision precision, std::span<const Direction> directions,
+Evaluator::Evaluator(Engine& engine, const Model& model, Precision precision, const DirectionSet& directions,
                      std::span<const double> y, std::span<const double> w) try
     : impl_(std::make_unique<Impl>(engine, model, precision, directions, y, w)) {
 } catch (const cl::Error& error) {
@@ -147,28 +223,10 @@ std::size_t Evaluator::samples() const { return impl_->count; }
 void Evaluator::project(std::span<const double> parameters, std::span<const double> lower,
                         std::span<const double> upper, bool gradient, Batch& out) try {
     Impl& m = *impl_;
-    const std::size_t p = m.model.parameters.size();
-    const std::size_t t = m.model.terms.size();
-    const std::size_t candidates = parameters.size() / p;
-    m.resize(candidates, out);
     cl::Kernel& kernel = gradient ? m.project : m.project_value;
-    for (std::size_t first = 0; first < candidates; first += m.launch_limit()) {
-        const std::size_t n = std::min(m.launch_limit(), candidates - first);
-        m.upload(m.parameters_buffer, parameters.subspan(first * p, n * p));
-        m.upload(m.lower_buffer, lower.subspan(first * t, n * t));
-        m.upload(m.upper_buffer, upper.subspan(first * t, n * t));
-        m.reserve(m.scratch_buffer, n * m.padded * (gradient ? m.model.term_values() : t));
-        m.reserve(m.out_buffer, n * m.out_stride());
-        cl_uint arg = 0;
-        for (const cl::Buffer* buffer : {&m.columns_buffer, &m.y_buffer, &m.w_buffer}) kernel.setArg(arg++, *buffer);
-        kernel.setArg(arg++, static_cast<cl_int>(m.padded));
-        kernel.setArg(arg++, static_cast<cl_int>(n));
-        for (const cl::Buffer* buffer :
-             {&m.parameters_buffer, &m.lower_buffer, &m.upper_buffer, &m.scratch_buffer, &m.out_buffer})
-            kernel.setArg(arg++, *buffer);
-        m.launch(kernel, n);
-        m.read_batch(first, n, out);
-    }
+    m.reserve(m.scratch_buffer, m.width(parameters.size() / m.model.parameters.size()) * m.padded * m.model.term_values());
+    kernel.setArg(6, m.scratch_buffer);
+    m.run(kernel, parameters, lower, upper, 7, gradient, out);
 } catch (const cl::Error& error) {
     throw device_error(error);
 }
@@ -176,21 +234,8 @@ void Evaluator::project(std::span<const double> parameters, std::span<const doub
 void Evaluator::loss(std::span<const double> parameters, std::span<const double> coefficients, bool logarithmic,
                      Batch& out) try {
     Impl& m = *impl_;
-    const std::size_t candidates = parameters.size() / m.model.parameters.size();
-    m.resize(candidates, out);
-    m.upload(m.parameters_buffer, parameters);
-    m.upload(m.lower_buffer, coefficients);
-    m.reserve(m.out_buffer, candidates * m.out_stride());
-    cl_uint arg = 0;
-    for (const cl::Buffer* buffer : {&m.columns_buffer, &m.y_buffer, &m.w_buffer}) m.loss.setArg(arg++, *buffer);
-    m.loss.setArg(arg++, static_cast<cl_int>(m.padded));
-    m.loss.setArg(arg++, static_cast<cl_int>(candidates));
-    m.loss.setArg(arg++, m.parameters_buffer);
-    m.loss.setArg(arg++, m.lower_buffer);
-    m.loss.setArg(arg++, static_cast<cl_int>(logarithmic));
-    m.loss.setArg(arg++, m.out_buffer);
-    m.launch(m.loss, candidates);
-    m.read_batch(0, candidates, out);
+    m.loss.setArg(6, static_cast<cl_int>(logarithmic));
+    m.run(m.loss, parameters, coefficients, coefficients, 7, true, out);
 } catch (const cl::Error& error) {
     throw device_error(error);
 }
@@ -204,14 +249,11 @@ std::vector<double> Evaluator::terms(std::span<const double> parameters) try {
     result.reserve(candidates * values * m.count);
     for (std::size_t first = 0; first < candidates; first += m.launch_limit()) {
         const std::size_t n = std::min(m.launch_limit(), candidates - first);
-        m.upload(m.parameters_buffer, parameters.subspan(first * p, n * p));
+        m.upload(m.in_buffer, parameters.subspan(first * p, n * p));
         m.reserve(m.scratch_buffer, n * values * m.padded);
-        cl_uint arg = 0;
-        m.terms.setArg(arg++, m.columns_buffer);
-        m.terms.setArg(arg++, static_cast<cl_int>(m.padded));
-        m.terms.setArg(arg++, static_cast<cl_int>(n));
-        m.terms.setArg(arg++, m.parameters_buffer);
-        m.terms.setArg(arg++, m.scratch_buffer);
+        m.terms.setArg(2, static_cast<cl_int>(n));
+        m.terms.setArg(3, m.in_buffer);
+        m.terms.setArg(4, m.scratch_buffer);
         m.launch(m.terms, n * m.padded / m.lanes);
         m.rows.resize(n * values * m.padded);
         m.download(m.scratch_buffer, m.rows);
@@ -226,13 +268,13 @@ std::vector<double> Evaluator::terms(std::span<const double> parameters) try {
 }
 
 Values evaluate(Engine& engine, const Model& model, Precision precision, const std::vector<double>& parameters,
-                std::span<const Direction> directions, bool gradient) {
+                const DirectionSet& directions, bool gradient) {
     Values values;
-    if (directions.empty()) return values;
+    const std::size_t n = directions.directions().size();
+    if (n == 0) return values;
     Evaluator evaluator(engine, model, precision, directions, {}, {});
     const std::vector<double> rows = evaluator.terms(parameters);
     const std::vector<double> c = model.coefficients(parameters);
-    const std::size_t n = directions.size();
     values.f.assign(n, 0.0);
     if (gradient) values.by_parameter.assign(model.parameters.size() * n, 0.0);
     std::size_t row = 0;

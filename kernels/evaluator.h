@@ -11,12 +11,28 @@
 
 namespace brdfit::kernels {
 
-/// What one launch returns for a batch of B candidates of a model with P parameters and T terms.
+/// Directions with the numbers that kernels read of them, formed once a precision and shared by copies and evaluators.
+/// Safe to use from several threads.
+class DirectionSet {
+public:
+    DirectionSet(std::vector<Direction> directions);  // NOLINT(google-explicit-constructor): it is a list of directions
+    [[nodiscard]] std::span<const Direction> directions() const;
+
+    struct Impl;
+    [[nodiscard]] Impl& impl() const { return *impl_; }
+
+private:
+    std::shared_ptr<Impl> impl_;
+};
+
+/// What one launch returns for a batch of B candidates of a model with P parameters, T terms and Q nonlinear parameters.
 struct Batch {
     std::vector<double> loss;            ///< B: sum of w r^2
     std::vector<double> coefficients;    ///< B x T: the linear coefficients c
     std::vector<double> by_coefficient;  ///< B x T: d loss/d c (0 where c is free between its bounds)
     std::vector<double> by_parameter;    ///< B x P: d loss/d parameter at those c; 0 for linear parameters
+    /// B x U(U+1)/2, U = T + Q: upper triangles of sum w J'J, J = d r/d (c, nonlinear parameters in rising order)
+    std::vector<double> normal;
 };
 
 /// Owns its queue, kernels and device buffers. Not for two threads at once; use one each.
@@ -24,14 +40,14 @@ class Evaluator {
 public:
     /// Residuals are r = f - y, with weight w >= 0; all three have one entry a sample. For `loss` with `logarithmic`
     /// y is ln of the measured value. Throws PrecisionError, BuildError, DeviceError.
-    Evaluator(Engine& engine, const Model& model, Precision precision, std::span<const Direction> directions,
+    Evaluator(Engine& engine, const Model& model, Precision precision, const DirectionSet& directions,
               std::span<const double> y, std::span<const double> w);
     ~Evaluator();
     Evaluator(Evaluator&&) noexcept;
     Evaluator& operator=(Evaluator&&) noexcept;
 
     /// For each candidate the coefficients within [lower, upper] (B x T) that minimise the loss, and the loss there.
-    /// parameters: B x P, linear ones ignored. Without `gradient` by_parameter is 0. Throws DeviceError.
+    /// parameters: B x P, linear ones ignored. Without `gradient` there are no derivatives. Throws DeviceError.
     void project(std::span<const double> parameters, std::span<const double> lower, std::span<const double> upper,
                  bool gradient, Batch& out);
     /// The loss at given coefficients (B x T). logarithmic: r = ln f - y. Throws DeviceError.
@@ -54,6 +70,6 @@ struct Values {
     std::vector<double> by_parameter;
 };
 Values evaluate(Engine& engine, const Model& model, Precision precision, const std::vector<double>& parameters,
-                std::span<const Direction> directions, bool gradient);
+                const DirectionSet& directions, bool gradient);
 
 }  // namespace brdfit::kernels

@@ -321,7 +321,9 @@ std::string generate_prelude(const Model& model, const Header& header) {
     }
     out << "} Terms;\n";
 
-    std::ostringstream values, slope_terms, slope_values, slope_parameters;
+    const std::vector<std::size_t> nonlinear = model.nonlinear();
+    std::ostringstream values, slope_terms, slope_values, slope_columns, parameters;
+    for (const std::size_t parameter : nonlinear) parameters << parameter << ',';
     std::size_t value = 0;
     std::size_t slopes = 0;
     for (std::size_t t = 0; t < model.terms.size(); ++t) {
@@ -329,7 +331,7 @@ std::string generate_prelude(const Model& model, const Header& header) {
         for (const std::size_t parameter : model.terms[t].of) {
             slope_terms << t << ',';
             slope_values << value++ << ',';
-            slope_parameters << parameter << ',';
+            slope_columns << std::lower_bound(nonlinear.begin(), nonlinear.end(), parameter) - nonlinear.begin() << ',';
             ++slopes;
         }
     }
@@ -337,11 +339,13 @@ std::string generate_prelude(const Model& model, const Header& header) {
         out << "constant int " << name << "[] = {" << (entries.str().empty() ? "0" : entries.str()) << "};\n";
     };
     out << "#define PARAMETERS " << model.parameters.size() << "\n#define TERMS " << model.terms.size()
-        << "\n#define TERM_VALUES " << value << "\n#define SLOPES " << slopes << '\n';
+        << "\n#define TERM_VALUES " << value << "\n#define SLOPES " << slopes << "\n#define NONLINEAR " << nonlinear.size()
+        << '\n';
     table("term_value", values);
     table("slope_term", slope_terms);
     table("slope_value", slope_values);
-    table("slope_parameter", slope_parameters);
+    table("slope_column", slope_columns);
+    table("nonlinear_parameter", parameters);
     return out.str();
 }
 
@@ -419,6 +423,12 @@ std::optional<std::size_t> Model::find(std::string_view parameter) const {
 
 bool Model::is_linear(std::size_t parameter) const {
     return std::any_of(terms.begin(), terms.end(), [&](const Term& t) { return t.factor == parameter; });
+}
+
+std::vector<std::size_t> Model::nonlinear() const {
+    std::set<std::size_t> result;
+    for (const Term& term : terms) result.insert(term.of.begin(), term.of.end());
+    return {result.begin(), result.end()};
 }
 
 std::size_t Model::term_values() const {

@@ -85,6 +85,8 @@ struct Model {
     [[nodiscard]] std::optional<std::size_t> find(std::string_view parameter) const;
     /// True if the parameter is the factor of a term.
     [[nodiscard]] bool is_linear(std::size_t parameter) const;
+    /// The parameters that some term depends on, in rising order.
+    [[nodiscard]] std::vector<std::size_t> nonlinear() const;
     /// Number of values in the kernel's Terms: each term and its slopes.
     [[nodiscard]] std::size_t term_values() const;
     /// For each term the parameter values' product: c_t, given all parameters in `unit`.

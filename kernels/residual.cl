@@ -3,14 +3,19 @@
  *
  * f = sum_t c_t phi_t(sample; theta). The host generates, before this text, from the model's header and the geometry
  * table: structs Params, Geometry and Terms (all members `real`), their sizes PARAMETERS, COLUMNS and TERM_VALUES, the
- * number of terms TERMS, and the tables term_value (index of phi_t in Terms), slope_term, slope_value and
- * slope_parameter (for each of SLOPES derivatives: its term, its index in Terms, its parameter).
+ * number of terms TERMS, and the tables term_value (index of phi_t in Terms), slope_term, slope_value and slope_column
+ * (for each of SLOPES derivatives: its term, its index in Terms, its place among the NONLINEAR parameters), and
+ * nonlinear_parameter (their places in Params).
  *
  * Shapes: columns COLUMNS x samples, y and w samples (samples is a multiple of LANES, padding has w = 0);
- * parameters candidates x PARAMETERS; coefficients, lower, upper candidates x TERMS;
- * out candidates x (1 + 2 TERMS + PARAMETERS) = loss, c, d loss/d c, d loss/d parameters. */
+ * in candidates x (PARAMETERS + 2 TERMS) = parameters, lower and upper bounds of c (for `loss` c twice);
+ * out candidates x OUT_STRIDE = loss, c, d loss/d c, d loss/d parameters, and the upper triangle, row by row, of
+ * sum w J'J where J = d residual/d (c, nonlinear parameters): the matrix of Gauss and Newton's method. */
 
-#define OUT_STRIDE (1 + 2 * TERMS + PARAMETERS)
+#define UNKNOWNS (TERMS + NONLINEAR)
+#define NORMALS (UNKNOWNS * (UNKNOWNS + 1) / 2)
+#define IN_STRIDE (PARAMETERS + 2 * TERMS)
+#define OUT_STRIDE (1 + 2 * TERMS + PARAMETERS + NORMALS)
 
 inline Params broadcast_parameters(global const scalar *parameters) {
     Params p;
@@ -150,13 +155,13 @@ inline void solve_bounded(scalar *gram, scalar *b, const scalar *lower, const sc
 
 /* Sums of one candidate: weighted squares of the residual and their derivatives. */
 typedef struct {
-    real loss, by_coefficient[TERMS], by_parameter[PARAMETERS];
+    real loss, by_unknown[UNKNOWNS], normal[NORMALS];
 } Sums;
 
 inline void clear_sums(Sums *sums) {
     sums->loss = 0.0;
-    for (int t = 0; t < TERMS; ++t) sums->by_coefficient[t] = 0.0;
-    for (int i = 0; i < PARAMETERS; ++i) sums->by_parameter[i] = 0.0;
+    for (int i = 0; i < UNKNOWNS; ++i) sums->by_unknown[i] = 0.0;
+    for (int i = 0; i < NORMALS; ++i) sums->normal[i] = 0.0;
 }
 
 /* residual = f - y, or ln f - y with y = ln of the measured value. A value that underflowed counts as the smallest. */
@@ -164,27 +169,36 @@ inline void add_sample(const real *term, const scalar *c, real y, real w, int lo
     real f = 0.0;
     for (int t = 0; t < TERMS; ++t) f += c[t] * term[term_value[t]];
     real residual = f - y;
-    real factor = 2.0 * w;
-    if (logarithmic) {
-        const real floored = fmax(f, (real)TINY);
-        residual = log(floored) - y;
-        factor = sel(f > TINY, factor / floored, 0.0);
-    }
+    if (logarithmic) residual = log(fmax(f, (real)TINY)) - y;
     sums->loss += w * sqr(residual);
     if (!gradient) return;
-    factor *= residual;
-    for (int t = 0; t < TERMS; ++t) sums->by_coefficient[t] += factor * term[term_value[t]];
-    for (int i = 0; i < SLOPES; ++i)
-        sums->by_parameter[slope_parameter[i]] += factor * c[slope_term[i]] * term[slope_value[i]];
+    real column[UNKNOWNS];
+    for (int t = 0; t < TERMS; ++t) column[t] = term[term_value[t]];
+    for (int i = TERMS; i < UNKNOWNS; ++i) column[i] = 0.0;
+    for (int i = 0; i < SLOPES; ++i) column[TERMS + slope_column[i]] += c[slope_term[i]] * term[slope_value[i]];
+    if (logarithmic) {
+        const real by_f = sel(f > TINY, 1.0 / fmax(f, (real)TINY), 0.0);
+        for (int i = 0; i < UNKNOWNS; ++i) column[i] *= by_f;
+    }
+    int place = 0;
+    for (int i = 0; i < UNKNOWNS; ++i) {
+        const real weighted = w * column[i];
+        sums->by_unknown[i] += weighted * residual;
+        for (int j = i; j < UNKNOWNS; ++j) sums->normal[place++] += weighted * column[j];
+    }
 }
 
-inline void store_sums(const Sums *sums, const scalar *c, global scalar *out) {
+inline void store_sums(const Sums *sums, const scalar *c, int gradient, global scalar *out) {
     out[0] = sum_lanes(sums->loss);
-    for (int t = 0; t < TERMS; ++t) {
-        out[1 + t] = c[t];
-        out[1 + TERMS + t] = sum_lanes(sums->by_coefficient[t]);
-    }
-    for (int i = 0; i < PARAMETERS; ++i) out[1 + 2 * TERMS + i] = sum_lanes(sums->by_parameter[i]);
+    for (int t = 0; t < TERMS; ++t) out[1 + t] = c[t];
+    if (!gradient) return;
+    out += 1 + TERMS;
+    for (int i = 0; i < TERMS + PARAMETERS; ++i) out[i] = 0.0;
+    for (int t = 0; t < TERMS; ++t) out[t] = (scalar)2.0 * sum_lanes(sums->by_unknown[t]);
+    for (int i = 0; i < NONLINEAR; ++i)
+        out[TERMS + nonlinear_parameter[i]] = (scalar)2.0 * sum_lanes(sums->by_unknown[TERMS + i]);
+    out += TERMS + PARAMETERS;
+    for (int i = 0; i < NORMALS; ++i) out[i] = sum_lanes(sums->normal[i]);
 }
 
 /* The model at a sample. What is summed in squares must not overflow there. */
@@ -197,13 +211,12 @@ inline void evaluate(Params p, Geometry s, Terms *f) {
     }
 }
 
-inline void project_candidate(int gradient, int candidate, global const scalar *columns, global const scalar *y,
-                              global const scalar *w, int samples, global const scalar *parameters,
-                              global const scalar *lower, global const scalar *upper, global scalar *scratch,
+inline void project_candidate(int gradient, global const scalar *columns, global const scalar *y,
+                              global const scalar *w, int samples, global const scalar *in, global scalar *scratch,
                               global scalar *out) {
     const int stored = gradient ? TERM_VALUES : TERMS;
-    const Params p = broadcast_parameters(parameters + candidate * PARAMETERS);
-    global scalar *kept = scratch + (size_t)candidate * samples * stored;
+    const Params p = broadcast_parameters(in);
+    global scalar *kept = scratch;
 
     real gram_sum[TERMS * (TERMS + 1) / 2], b_sum[TERMS];
     for (int i = 0; i < TERMS * (TERMS + 1) / 2; ++i) gram_sum[i] = 0.0;
@@ -230,14 +243,14 @@ inline void project_candidate(int gradient, int candidate, global const scalar *
     for (int i = 0; i < TERMS * (TERMS + 1) / 2; ++i) gram[i] = sum_lanes(gram_sum[i]);
     for (int i = 0; i < TERMS; ++i) {
         b[i] = sum_lanes(b_sum[i]);
-        low[i] = lower[candidate * TERMS + i];
-        high[i] = upper[candidate * TERMS + i];
+        low[i] = in[PARAMETERS + i];
+        high[i] = in[PARAMETERS + TERMS + i];
     }
     solve_bounded(gram, b, low, high, c);
 
     Sums sums;
     clear_sums(&sums);
-    kept = scratch + (size_t)candidate * samples * stored;
+    kept = scratch;
     for (int first = 0; first < samples; first += LANES) {
         real term[TERM_VALUES];
         if (gradient)
@@ -247,34 +260,36 @@ inline void project_candidate(int gradient, int candidate, global const scalar *
         add_sample(term, c, load_lanes(y + first), load_lanes(w + first), 0, gradient, &sums);
         kept += stored * LANES;
     }
-    store_sums(&sums, c, out + candidate * OUT_STRIDE);
+    store_sums(&sums, c, gradient, out);
 }
 
 /* Best coefficients within their bounds, the loss there and its gradient (by c it is 0 away from the bounds). Every
- * kernel strides over its candidates, so that the host chooses the number of work-items. */
+ * kernel strides over its candidates, so that the host chooses the number of work-items; each work-item has scratch for
+ * one candidate. */
 kernel void project(global const scalar *columns, global const scalar *y, global const scalar *w, int samples,
-                    int candidates, global const scalar *parameters, global const scalar *lower,
-                    global const scalar *upper, global scalar *scratch, global scalar *out) {
-    for (int i = (int)get_global_id(0); i < candidates; i += (int)get_global_size(0))
-        project_candidate(1, i, columns, y, w, samples, parameters, lower, upper, scratch, out);
+                    int candidates, global const scalar *in, global scalar *scratch, global scalar *out) {
+    const int item = (int)get_global_id(0);
+    for (int i = item; i < candidates; i += (int)get_global_size(0))
+        project_candidate(1, columns, y, w, samples, in + i * IN_STRIDE,
+                          scratch + (size_t)item * samples * TERM_VALUES, out + i * OUT_STRIDE);
 }
 
-/* The same without derivatives by the parameters: for screening. */
+/* The same without derivatives: for screening. */
 kernel void project_value(global const scalar *columns, global const scalar *y, global const scalar *w, int samples,
-                          int candidates, global const scalar *parameters, global const scalar *lower,
-                          global const scalar *upper, global scalar *scratch, global scalar *out) {
-    for (int i = (int)get_global_id(0); i < candidates; i += (int)get_global_size(0))
-        project_candidate(0, i, columns, y, w, samples, parameters, lower, upper, scratch, out);
+                          int candidates, global const scalar *in, global scalar *scratch, global scalar *out) {
+    const int item = (int)get_global_id(0);
+    for (int i = item; i < candidates; i += (int)get_global_size(0))
+        project_candidate(0, columns, y, w, samples, in + i * IN_STRIDE, scratch + (size_t)item * samples * TERM_VALUES,
+                          out + i * OUT_STRIDE);
 }
 
-/* Loss and gradient at given coefficients; logarithmic: residuals ln f - y. */
+/* Loss and derivatives at given coefficients; logarithmic: residuals ln f - y. */
 kernel void loss(global const scalar *columns, global const scalar *y, global const scalar *w, int samples,
-                 int candidates, global const scalar *parameters, global const scalar *coefficients, int logarithmic,
-                 global scalar *out) {
+                 int candidates, global const scalar *in, int logarithmic, global scalar *out) {
     for (int i = (int)get_global_id(0); i < candidates; i += (int)get_global_size(0)) {
-        const Params p = broadcast_parameters(parameters + i * PARAMETERS);
+        const Params p = broadcast_parameters(in + i * IN_STRIDE);
         scalar c[TERMS];
-        for (int t = 0; t < TERMS; ++t) c[t] = coefficients[i * TERMS + t];
+        for (int t = 0; t < TERMS; ++t) c[t] = in[i * IN_STRIDE + PARAMETERS + t];
         Sums sums;
         clear_sums(&sums);
         for (int first = 0; first < samples; first += LANES) {
@@ -282,7 +297,7 @@ kernel void loss(global const scalar *columns, global const scalar *y, global co
             evaluate(p, load_geometry(columns, samples, first), &f);
             add_sample((const real *)&f, c, load_lanes(y + first), load_lanes(w + first), logarithmic, 1, &sums);
         }
-        store_sums(&sums, c, out + i * OUT_STRIDE);
+        store_sums(&sums, c, 1, out + i * OUT_STRIDE);
     }
 }
 

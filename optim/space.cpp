@@ -330,7 +330,7 @@ private:
 
 SearchSpace::SearchSpace(const Model& model, std::vector<Interval> bounds, Unknowns unknowns, ScaleRange scale,
                          double level, Charts charts)
-    : model_(model), bounds_(std::move(bounds)), unknowns_(unknowns), scale_(scale) {
+    : model_(model), nonlinear_(model.nonlinear()), bounds_(std::move(bounds)), unknowns_(unknowns), scale_(scale) {
     const bool all = unknowns == Unknowns::all;
     std::vector<bool> taken(model.parameters.size(), false);
     for (std::size_t i = 0; i < taken.size(); ++i) taken[i] = (model.is_linear(i) && !all) || bounds_[i].fixed();
@@ -422,6 +422,26 @@ void SearchSpace::gradient(std::span<const double> u, const Candidate& at, std::
             (at_upper(coefficients[t], at.upper[t]) && at.upper[t] < kLargestCoefficient))
             sum += by_coefficient[t] * coefficients[t];
     by_u[first] = sum * std::log(scale_.max / scale_.min);
+}
+
+std::vector<double> SearchSpace::jacobian(std::span<const double> u, const Candidate& at,
+                                          std::span<const double> coefficients) const {
+    std::vector<double> by_parameter(model_.parameters.size(), 0.0);
+    std::vector<double> by_coefficient(model_.terms.size(), 0.0);
+    std::vector<double> result;
+    const auto add_row = [&](double& entry) {
+        entry = 1;
+        result.resize(result.size() + dimension_);
+        gradient(u, at, coefficients, by_parameter, by_coefficient, std::span(result).last(dimension_));
+        entry = 0;
+    };
+    for (double& entry : by_coefficient) add_row(entry);
+    for (const std::size_t parameter : nonlinear_) add_row(by_parameter[parameter]);
+    return result;
+}
+
+bool SearchSpace::is_free(double coefficient, double lower, double upper) {
+    return !at_lower(coefficient, lower) && !at_upper(coefficient, upper);
 }
 
 std::vector<double> SearchSpace::parameters(std::span<const double> u, std::span<const double> coefficients,

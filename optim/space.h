@@ -67,6 +67,12 @@ public:
     void gradient(std::span<const double> u, const Candidate& at, std::span<const double> coefficients,
                   std::span<const double> by_parameter, std::span<const double> by_coefficient,
                   std::span<double> by_u) const;
+    /// d (c, nonlinear parameters)/d u, (T + Q) x d, in the order of kernels::Batch::normal: of coefficients what their
+    /// bounds move where they stand on them.
+    [[nodiscard]] std::vector<double> jacobian(std::span<const double> u, const Candidate& at,
+                                               std::span<const double> coefficients) const;
+    /// Whether the coefficient lies between its bounds, where the evaluator chooses it.
+    [[nodiscard]] static bool is_free(double coefficient, double lower, double upper);
     /// The model's parameters at u and c, within their bounds, and the scale.
     [[nodiscard]] std::vector<double> parameters(std::span<const double> u, std::span<const double> coefficients,
                                                  double& scale) const;
@@ -83,6 +89,7 @@ private:
     /// The scale at u: the last coordinate, even in its logarithm; 1 for absolute data.
     [[nodiscard]] double scale(std::span<const double> u) const;
     const kernels::Model& model_;
+    std::vector<std::size_t> nonlinear_;
     std::vector<Interval> bounds_;
     Unknowns unknowns_;
     ScaleRange scale_;

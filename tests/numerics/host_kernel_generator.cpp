@@ -39,13 +39,17 @@ std::vector<double> run_terms(std::span<const double> columns, int samples, std:
 std::vector<double> run_project(std::span<const double> columns, std::span<const double> y, std::span<const double> w,
                                 std::span<const double> parameters, std::span<const double> lower,
                                 std::span<const double> upper) {
-    const auto c = narrowed<scalar>(columns), p = narrowed<scalar>(parameters), low = narrowed<scalar>(lower);
-    const auto ys = narrowed<scalar>(y), ws = narrowed<scalar>(w), high = narrowed<scalar>(upper);
-    const int candidates = (int)p.size() / PARAMETERS;
-    std::vector<scalar> scratch((std::size_t)candidates * y.size() * TERM_VALUES);
+    const auto c = narrowed<scalar>(columns), ys = narrowed<scalar>(y), ws = narrowed<scalar>(w);
+    const int candidates = (int)parameters.size() / PARAMETERS;
+    std::vector<scalar> in;
+    for (int i = 0; i < candidates; ++i) {
+        in.insert(in.end(), parameters.begin() + i * PARAMETERS, parameters.begin() + (i + 1) * PARAMETERS);
+        in.insert(in.end(), lower.begin() + i * TERMS, lower.begin() + (i + 1) * TERMS);
+        in.insert(in.end(), upper.begin() + i * TERMS, upper.begin() + (i + 1) * TERMS);
+    }
+    std::vector<scalar> scratch(y.size() * TERM_VALUES);
     std::vector<scalar> out((std::size_t)(candidates * OUT_STRIDE));
-    project(c.data(), ys.data(), ws.data(), (int)y.size(), candidates, p.data(), low.data(), high.data(),
-            scratch.data(), out.data());
+    project(c.data(), ys.data(), ws.data(), (int)y.size(), candidates, in.data(), scratch.data(), out.data());
     return {out.begin(), out.end()};
 }
 }

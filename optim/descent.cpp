@@ -1,0 +1,158 @@
+#include "optim/descent.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include <Eigen/Cholesky>
+
+namespace brdfit::optim {
+namespace {
+
+using Eigen::Index;
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+/// Farthest step in a coordinate of the cube.
+constexpr double kTrust = 0.25;
+constexpr double kFirstDamping = 1e-2;
+/// No step beyond this damping: the slope is lost in round-off.
+constexpr double kMostDamping = 1e12;
+
+bool finite(const Look& look) {
+    return std::isfinite(look.value) && look.gradient.allFinite() && look.curvature.allFinite();
+}
+
+class Descent {
+public:
+    explicit Descent(std::vector<double> start) : next_(std::move(start)) {}
+
+    [[nodiscard]] bool over() const { return over_; }
+    [[nodiscard]] const std::vector<double>& next() const { return next_; }
+    [[nodiscard]] const Minimum& end() const { return best_; }
+    void stop(StopReason reason) {
+        over_ = true;
+        best_.stop = reason;
+    }
+
+    /// What was found at next().
+    void receive(const Look& look, const DescentGoal& goal) {
+        ++looks_;
+        const bool first = best_.u.empty();
+        if (first || (finite(look) && look.value < here_.value)) {
+            if (!first) {
+                const double gain = (here_.value - look.value) / promised_;
+                damping_ *= std::max(1.0 / 3, 1 - std::pow(2 * gain - 1, 3));
+                growth_ = 2;
+            }
+            here_ = look;
+            best_.u = next_;
+            best_.loss2 = look.value;
+            if (!finite(look)) return stop(StopReason::roundoff);
+        } else {
+            damping_ *= growth_;
+            growth_ *= 2;
+        }
+        if (looks_ >= goal.looks) return stop(StopReason::evaluation_limit);
+        const VectorXd step = bounded_step();
+        promised_ = -(here_.gradient.dot(step) + step.dot(here_.curvature * step) / 2);
+        if (!(promised_ > goal.relative * here_.value + goal.absolute)) {
+            // Damping may be all that holds the step back.
+            return stop(damping_ > 1 ? StopReason::roundoff : StopReason::converged);
+        }
+        if (damping_ > kMostDamping) return stop(StopReason::roundoff);
+        for (std::size_t i = 0; i < next_.size(); ++i)
+            next_[i] = std::clamp(best_.u[i] + step(static_cast<Index>(i)), 0.0, 1.0);
+    }
+
+private:
+    /// The damped step within the cube: where it leaves, the coordinate goes to its bound and the others follow.
+    [[nodiscard]] VectorXd bounded_step() const {
+        const Index n = here_.gradient.size();
+        const auto at = [&](Index i) { return best_.u[static_cast<std::size_t>(i)]; };
+        MatrixXd h = here_.curvature;
+        const double largest = h.diagonal().maxCoeff();
+        for (Index i = 0; i < n; ++i) h(i, i) += damping_ * std::max(h(i, i), 1e-9 * largest) + 1e-300;
+        VectorXd step = VectorXd::Zero(n);
+        std::vector<Index> inside;
+        for (Index i = 0; i < n; ++i) {
+            const double g = here_.gradient(i);
+            if (!(at(i) <= 0 && g > 0) && !(at(i) >= 1 && g < 0)) inside.push_back(i);
+        }
+        while (!inside.empty()) {
+            const VectorXd slope = here_.gradient + h * step;
+            const VectorXd found = -h(inside, inside).ldlt().solve(slope(inside));
+            std::vector<Index> still;
+            for (Index i = 0; i < found.size(); ++i) {
+                const Index coordinate = inside[static_cast<std::size_t>(i)];
+                const double x = at(coordinate);
+                if (x + found(i) < 0) step(coordinate) = -x;
+                else if (x + found(i) > 1) step(coordinate) = 1 - x;
+                else still.push_back(coordinate);
+            }
+            if (still.size() == inside.size()) {
+                step(inside) = found;
+                break;
+            }
+            inside = std::move(still);
+        }
+        const double farthest = n > 0 ? step.cwiseAbs().maxCoeff() : 0.0;
+        if (farthest > kTrust) step *= kTrust / farthest;
+        return step;
+    }
+
+    std::vector<double> next_;
+    Minimum best_{};
+    Look here_{};
+    double promised_ = 0;
+    double damping_ = kFirstDamping;
+    double growth_ = 2;
+    int looks_ = 0;
+    bool over_ = false;
+};
+
+double distance(const std::vector<double>& a, const std::vector<double>& b) {
+    double most = 0;
+    for (std::size_t i = 0; i < a.size(); ++i) most = std::max(most, std::abs(a[i] - b[i]));
+    return most;
+}
+
+}  // namespace
+
+std::vector<Minimum> descend_together(const Landscape& landscape, const std::vector<std::vector<double>>& starts,
+                                      const DescentGoal& goal, const SearchControl& control) {
+    constexpr double kSamePath = 2e-3;
+    std::vector<Descent> descents(starts.begin(), starts.end());
+    std::vector<Descent*> running;
+    for (Descent& descent : descents) running.push_back(&descent);
+    std::vector<std::vector<double>> points;
+    while (!running.empty()) {
+        if (control.over()) {
+            for (Descent* descent : running)
+                descent->stop(control.stop.stop_requested() ? StopReason::cancelled : StopReason::time_limit);
+            break;
+        }
+        points.clear();
+        for (const Descent* descent : running) points.push_back(descent->next());
+        const std::vector<Look> looks = landscape(points);
+        for (std::size_t i = 0; i < running.size(); ++i) running[i]->receive(looks[i], goal);
+        for (Descent* descent : running) {
+            if (descent->over()) continue;
+            for (const Descent& other : descents)
+                if (&other != descent && other.end().loss2 <= descent->end().loss2 && !other.end().u.empty() &&
+                    distance(other.end().u, descent->end().u) < kSamePath &&
+                    (other.end().loss2 < descent->end().loss2 || &other < descent)) {
+                    descent->stop(StopReason::converged);
+                    break;
+                }
+        }
+        std::erase_if(running, [](const Descent* descent) { return descent->over(); });
+    }
+    std::vector<Minimum> ends;
+    for (const Descent& descent : descents) {
+        ends.push_back(descent.end());
+        if (ends.back().u.empty()) ends.back().u = descent.next();
+    }
+    return ends;
+}
+
+}  // namespace brdfit::optim
