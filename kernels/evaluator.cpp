@@ -16,7 +16,7 @@ constexpr std::size_t kScratchBytes = std::size_t{64} << 20;
 /// Buffers hold `scalar`s; the host side is double. One conversion each way, here.
 struct Evaluator::Impl {
     Impl(Engine& engine, const Model& model_in, Precision precision_in, std::span<const Direction> directions,
-         std::span<const double> y, std::span<const double> w)
+         std::span<const double> y, std::span<const double> w, Accuracy accuracy)
         : shared(engine.impl()),
           model(model_in),
           precision(precision_in),
@@ -24,7 +24,7 @@ struct Evaluator::Impl {
           count(directions.size()),
           padded((count + lanes - 1) / lanes * lanes),
           queue(shared.context, shared.device) {
-        const cl::Program program = shared.program(model, precision);
+        const cl::Program program = shared.program(model, precision, accuracy);
         project = cl::Kernel(program, "project");
         project_value = cl::Kernel(program, "project_value");
         loss = cl::Kernel(program, "loss");
@@ -131,8 +131,8 @@ struct Evaluator::Impl {
 };
 
 Evaluator::Evaluator(Engine& engine, const Model& model, Precision precision, std::span<const Direction> directions,
-                     std::span<const double> y, std::span<const double> w) try
-    : impl_(std::make_unique<Impl>(engine, model, precision, directions, y, w)) {
+                     std::span<const double> y, std::span<const double> w, Accuracy accuracy) try
+    : impl_(std::make_unique<Impl>(engine, model, precision, directions, y, w, accuracy)) {
 } catch (const cl::Error& error) {
     throw device_error(error);
 }

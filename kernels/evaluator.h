@@ -25,7 +25,7 @@ public:
     /// Residuals are r = f - y, with weight w >= 0; all three have one entry a sample. For `loss` with `logarithmic`
     /// y is ln of the measured value. Throws PrecisionError, BuildError, DeviceError.
     Evaluator(Engine& engine, const Model& model, Precision precision, std::span<const Direction> directions,
-              std::span<const double> y, std::span<const double> w);
+              std::span<const double> y, std::span<const double> w, Accuracy accuracy = Accuracy::full);
     ~Evaluator();
     Evaluator(Evaluator&&) noexcept;
     Evaluator& operator=(Evaluator&&) noexcept;

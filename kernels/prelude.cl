@@ -1,6 +1,6 @@
 /* Vocabulary of every kernel text: `real` is one value per lane, `scalar` one value.
  *
- * The host defines REAL_IS_DOUBLE and LANES (1 on a GPU, a SIMD width on a CPU) before this text. The same text
+ * The host defines REAL_IS_DOUBLE, SEARCH_ACCURACY and LANES (1 on a GPU, a SIMD width on a CPU) before this text. The same text
  * compiles as C++ behind tests/host_kernel.h, so it keeps to functions, structs of `real` and the names below. */
 #ifdef __OPENCL_VERSION__
 
@@ -57,7 +57,6 @@ inline scalar sum_lanes(real x) {
 #define EXP_MINUS_SHIFT 5.148200222412014e-131 /* exp(-LOG_SHIFT) */
 #define LOG_UNSEEN 800.0                   /* a series below exp(-this) is 0 whatever its prefactor */
 #define TINY 1e-300                        /* keeps a quotient finite where its numerator is 0 */
-#define LOG_EPSILON 37.5                   /* ln(1/eps) to which series are summed */
 #define PI_SQUARED_LOW 6.265295508739711e-16
 #define COLLINEAR 1e-13                    /* unit columns closer than this, squared, count as one */
 #else
@@ -68,7 +67,15 @@ inline scalar sum_lanes(real x) {
 #define EXP_MINUS_SHIFT 8.75651076269652e-27
 #define LOG_UNSEEN 150.0
 #define TINY 1e-37
-#define LOG_EPSILON 17.0
 #define COLLINEAR 1e-6
 #define PI_SQUARED_LOW 2.903715851813345e-07
+#endif
+
+/* ln(1/eps) to which series are summed */
+#if SEARCH_ACCURACY
+#define LOG_EPSILON 11.0
+#elif REAL_IS_DOUBLE
+#define LOG_EPSILON 37.5
+#else
+#define LOG_EPSILON 17.0
 #endif
