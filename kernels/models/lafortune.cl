@@ -25,7 +25,7 @@
 
 void brdf(Params p, Geometry s, Terms *f) {
     f->diffuse.value = 1.0 / PI;
-    for (int j = 0; j < LOBES; ++j) {
+    UNROLLED for (int j = 0; j < LOBES; ++j) {
         /* The products may cancel, and the exponent magnifies what is left: b = high + low throughout. */
         Wide tangential = product_of(p.lobe[j].c_xy, s.hxy);
         Wide normal = product_of(p.lobe[j].c_z, s.hz);
