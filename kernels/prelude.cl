@@ -107,14 +107,17 @@ inline scalar sum_lanes(real x) {
 #define NEGLIGIBLE 5e-7       /* 0.03 eps */
 #define LEFT_MARGIN 2.4       /* ln LOG_EPSILON, and what the slopes need beyond */
 #define LAMBERT_STEPS 1
+#define MODE_STEPS 0           /* of lambert_w where it only tells the place of a bell */
 #elif REAL_IS_DOUBLE
 #define LOG_EPSILON 37.5
 #define NEGLIGIBLE 1.5e-18
 #define LEFT_MARGIN 7.6
 #define LAMBERT_STEPS 2
+#define MODE_STEPS 1
 #else
 #define LOG_EPSILON 17.0
 #define NEGLIGIBLE 1.2e-9
 #define LEFT_MARGIN 6.8
 #define LAMBERT_STEPS 1
+#define MODE_STEPS 1
 #endif

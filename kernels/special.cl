@@ -3,7 +3,10 @@
 inline real sqr(real x) { return x * x; }
 
 /* x, short of overflow. */
-inline real saturated(real x) { return fmin(fmax(x, (real)-HUGE_SLOPE), (real)HUGE_SLOPE); }
+inline real saturated(real x) {
+    const real low = sel(x > -HUGE_SLOPE, x, -HUGE_SLOPE); /* not fmin, fmax: they look after NaN */
+    return sel(low < HUGE_SLOPE, low, HUGE_SLOPE);
+}
 
 /* Coefficients of the polynomials below, highest power first: mpmath.chebyfit with 60 digits (docs/numerics.md). */
 #if SEARCH_ACCURACY

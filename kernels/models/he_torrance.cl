@@ -67,9 +67,9 @@ inline Shadow shadow(real tan_theta, Wide slope) {
     const real erfc_h = E_high * (erfcx(h) * (1.0 - h2.low) - 2.0 / sqrt((real)PI) * h_low);
     const real erfc_minus_h = 2.0 - erfc_h;
     const real x = sqrt((real)PI) * fma(h, erfc_minus_h, h_low * erfc_minus_h);
-    const real both = 1.0 / ((x + E) * erfc_minus_h); /* one division for three quotients */
-    t.S = x * erfc_minus_h * both;
-    t.S_slope = E * (erfc_minus_h * both + 2.0 / sqrt((real)PI) * h * (x + E) * both);
+    const real inverse_sum = 1.0 / (x + E);
+    t.S = x * inverse_sum;
+    t.S_slope = E * (inverse_sum + 2.0 / sqrt((real)PI) * h / erfc_minus_h);
     t.K = tan_theta * erfc_h;
     t.K_slope = -2.0 / sqrt((real)PI) * tan_theta * h * E;
     return t;
@@ -101,10 +101,11 @@ inline Fresnel fresnel(real n, real k, real cd2, real sd2) {
     const real difference = sel(refracts, (N2_1.re + b2) / (q.re + c), q.re - c); /* a - c, exact near N = 1 */
     const real s_norm = sqr(q.re + c) + b2;                                       /* |q + c|^2 */
     const real qc_norm = sqr(q.re * c + sd2) + b2 * cd2;                          /* |q c + s^2|^2 = |N^2 c + q|^2/s_norm */
-    const real inverse_both = 1.0 / (s_norm * qc_norm);
-    const real inverse_s = qc_norm * inverse_both;
+    const real inverse_s = 1.0 / s_norm;
+    const real inverse_qc = 1.0 / qc_norm;
+    const real inverse_both = inverse_s * inverse_qc;
     const real Rs = (sqr(difference) + b2) * inverse_s;
-    const real p_over_s = (sqr(q.re * c - sd2) + b2 * cd2) * (s_norm * inverse_both);
+    const real p_over_s = (sqr(q.re * c - sd2) + b2 * cd2) * inverse_qc;
     t.F = 0.5 * Rs * (1.0 + p_over_s);
 
     /* dF/dN = conj(r_s) r_s' + conj(r_p) r_p'; as c^2 - q^2 = 1 - N^2 and N^4 c^2 - q^2 = (N^2 - 1)(N^2 c^2 - s^2) it is
@@ -162,13 +163,15 @@ inline Series poisson_series(real g, real a) {
 
     /* Mode: m = g e^(W/2), W e^W = 2 a/g^2, as ln(m/g) = a/m^2. */
     const real inverse_g = 1.0 / g;
-    const real W = lambert_w(fmin(2.0 * a * inverse_g * inverse_g, (real)HUGE), 1);
+    const real W = lambert_w(fmin(2.0 * a * inverse_g * inverse_g, (real)HUGE), MODE_STEPS);
     const real growth = exp_plain(0.5 * W);
     const real mode = fmax(g * growth, (real)1.0);
     const real peak = g * sel(W < 0.1, W * (0.5 + W * (0.375 + W * (5.0 / 48.0))), growth * (W - 1.0) + 1.0);
     const mask seen = peak < LOG_UNSEEN;
     if (!any_lane(seen)) return t;
     const real lift = sel(peak > LOG_SHIFT, peak, 0.0); /* what the sums are scaled by */
+    const int lifted = any_lane(lift > 0.0);
+    t.height = 1.0;
 
     /* A bell's sum is its integral where it is wide and nothing is left of it at m = 1, nor of the singularity at m = 0:
      * their exponents are g - ln g - 1 + a and g + 2 sqrt(pi a), and ln g <= g/L + ln L - 1. Stirling's series needs a
@@ -177,38 +180,36 @@ inline Series poisson_series(real g, real a) {
     const real negligible = NEGLIGIBLE;
     const real start = g - g / L - LEFT_MARGIN + fmin(a, 2.0 * sqrt((real)PI * a));
     const mask smooth = (mode > 0.8 * L) & (mode > (0.075 * L) * (1.0 + W)) & (start > peak + L);
-    const mask direct = seen & !smooth;
-    const mask bell = seen & smooth;
+    mask direct = seen & !smooth;
+    /* Lanes of both kinds cost both loops: a few more terms of the sum are cheaper than the other loop. */
+    if (any_lane(direct) && !any_lane(seen & smooth & (mode > 1.6 * L))) direct = seen;
+    const mask bell = seen & !direct;
 
-    /* A sum from m = 1: the weights e^-g g^m/m! by their recurrence, with a low part that keeps its rounding from
-     * adding up; Q, where sqrt(g) digits cancel, would show it. The same m in every lane, four between looks at the end.
-     * Weight and exponential each take a share of the height. */
+    /* A sum from m = 1: the weights e^-g g^m/m! by their recurrence. The same m in every lane, four between looks at the
+     * end. Weight and exponential each take a share of the height. */
     if (any_lane(direct)) {
         const real weight_shift = fmin(lift, (real)LOG_SHIFT);
         const real shift = fmin(lift - weight_shift, (real)LOG_SHIFT);
-        real weight = sel(direct, g * exp_plain(-g) * exp_plain(weight_shift), 0.0);
-        real weight_low = 0.0;
+        real weight = sel(direct, g * exp_plain(-g), 0.0);
+        if (lifted) {
+            weight *= exp_plain(weight_shift);
+            t.height = exp_plain(-0.5 * (weight_shift + shift));
+        }
         scalar m = 1.0;
         mask active = direct;
         while (any_lane(active)) {
             real term = 0.0;
             UNROLLED for (int i = 0; i < 4; ++i) {
                 const scalar inverse = (scalar)1.0 / m;
-                term = (weight + weight_low) * exp_plain(fma(a, (real)-inverse, shift)) * inverse;
+                term = weight * exp_plain(fma(a, (real)-inverse, shift)) * inverse;
                 t.M1 += term;
                 t.M2 += term * inverse;
                 t.Q += term * (m - g);
                 m += (scalar)1.0;
-                const scalar next_inverse = (scalar)1.0 / m;
-                const real step = g * next_inverse;
-                const real step_low = fma(-step, (real)m, g) * next_inverse;
-                const real next = weight * step;
-                weight_low = fma(weight, step, -next) + (weight * step_low + weight_low * step);
-                weight = next;
+                weight *= g * ((scalar)1.0 / m);
             }
             active = direct & ((m <= mode) | (term > negligible * t.M1));
         }
-        t.height = exp_plain(-0.5 * (weight_shift + shift));
     }
 
     /* A smooth bell by the trapezoidal rule in u = sqrt(m), where it is as wide for any g: 30 terms (14, 10), each in its
@@ -253,7 +254,7 @@ inline Series poisson_series(real g, real a) {
         t.M1 = sel(bell, factor * b.M1, t.M1);
         t.M2 = sel(bell, factor * b.M2, t.M2);
         t.Q = sel(bell, factor * b.Q, t.Q);
-        t.height = sel(bell, exp_plain(-0.5 * lift), t.height);
+        if (lifted) t.height = sel(bell, exp_plain(-0.5 * lift), t.height);
     }
     return t;
 }
@@ -285,9 +286,7 @@ void brdf(Params p, Geometry s, Terms *f) {
     const Fresnel F = fresnel(p.n, p.k, s.cd2, s.sd2);
 
     const mask rough = (p.sigma > 0.0) & (p.tau > 0.0); /* else there is no lobe */
-    const real inverse_cosines = 1.0 / (s.ci * s.cr);
-    const real prefactor =
-        s.G * (in.S * (s.cr * inverse_cosines)) * (out.S * (s.ci * inverse_cosines)) * (sqr(tau) * (PI / 4.0));
+    const real prefactor = s.G * (in.S / s.ci) * (out.S / s.cr) * (sqr(tau) * (PI / 4.0));
     const real base = sel(rough, fmin(prefactor, (real)HUGE_SLOPE), 0.0);
     const real shadows = M.M1 * (in.S_slope + out.S_slope);
     f->lobe.value = raised(base * F.F * M.M1, M);
