@@ -82,15 +82,15 @@ DeviceError device_error(const cl::Error& error) {
     return DeviceError(std::string(error.what()) + " failed with OpenCL code " + std::to_string(error.err()));
 }
 
-std::string program_text(const Model& model, Precision precision, unsigned lanes) {
+std::string program_text(const Model& model, Precision precision, unsigned lanes, Accuracy accuracy) {
     const auto part = [](std::string_view file, std::string_view text) {
         return "#line 1 \"" + std::string(file) + "\"\n" + std::string(text) + "\n";
     };
     return "#define REAL_IS_DOUBLE " + std::string(precision == Precision::double_precision ? "1" : "0") +
-           "\n#define LANES " + std::to_string(lanes) + "\n" + part("prelude.cl", kPreludeText) +
-           part("geometry", geometry_prelude()) + part("special.cl", kSpecialText) +
-           part(model.file + " header", model.prelude) + part(model.file, model.text) +
-           part("residual.cl", kResidualText);
+           "\n#define SEARCH_ACCURACY " + (accuracy == Accuracy::search ? "1" : "0") + "\n#define LANES " +
+           std::to_string(lanes) + "\n" + part("prelude.cl", kPreludeText) + part("geometry", geometry_prelude()) +
+           part("special.cl", kSpecialText) + part(model.file + " header", model.prelude) +
+           part(model.file, model.text) + part("residual.cl", kResidualText);
 }
 
 unsigned Engine::Impl::lanes(Precision precision) const {
@@ -112,9 +112,9 @@ std::optional<std::string> Engine::Impl::refusal(Precision precision) const {
     return it == withdrawn.end() ? std::nullopt : std::optional(it->second);
 }
 
-cl::Program Engine::Impl::program(const Model& model, Precision precision) {
+cl::Program Engine::Impl::program(const Model& model, Precision precision, Accuracy accuracy) {
     if (const auto reason = refusal(precision)) throw PrecisionError(*reason);
-    const std::string text = program_text(model, precision, lanes(precision));
+    const std::string text = program_text(model, precision, lanes(precision), accuracy);
     const std::lock_guard lock(mutex);
     if (const auto it = programs.find(text); it != programs.end()) return it->second;
     try {
@@ -161,6 +161,10 @@ Precision Engine::best_precision() const {
     return Precision::single_precision;
 }
 
+Precision Engine::quickest_precision() const {
+    return supports(Precision::single_precision) ? Precision::single_precision : best_precision();
+}
+
 bool Engine::supports(Precision precision) const { return !refusal(precision); }
 
 bool Engine::usable() const { return supports(Precision::double_precision) || supports(Precision::single_precision); }
@@ -172,7 +176,9 @@ void Engine::withdraw(Precision precision, std::string reason) {
     impl_->withdrawn[precision] = std::move(reason);
 }
 
-void Engine::prepare(const Model& model, Precision precision) { (void)impl_->program(model, precision); }
+void Engine::prepare(const Model& model, Precision precision, Accuracy accuracy) {
+    (void)impl_->program(model, precision, accuracy);
+}
 
 std::vector<DeviceInfo> list_devices() {
     std::vector<DeviceInfo> list;

@@ -52,8 +52,9 @@ struct EngineOptions {
     std::string build_options{};
 };
 
-/// One device with a cache of programs by (model, precision). Safe to use from several threads; create the first one
-/// before other threads exist, as PoCL does not survive two threads making a process's first OpenCL call together.
+/// One device with a cache of programs by (model, precision, accuracy). Safe to use from several threads; create the
+/// first one before other threads exist, as PoCL does not survive two threads making a process's first OpenCL call
+/// together.
 class Engine {
 public:
     /// Throws DeviceError.
@@ -65,6 +66,8 @@ public:
     [[nodiscard]] const DeviceInfo& device() const;
     /// The most precise arithmetic that may be used. Throws PrecisionError if none may.
     [[nodiscard]] Precision best_precision() const;
+    /// The quickest arithmetic that may be used: single where it may. Throws PrecisionError if none may.
+    [[nodiscard]] Precision quickest_precision() const;
     /// Whether the device has that precision and it was not withdrawn.
     [[nodiscard]] bool supports(Precision precision) const;
     /// Whether some precision may be used.
@@ -74,7 +77,7 @@ public:
     /// The precision may not be used from now on, for that reason. Evaluators that exist keep working.
     void withdraw(Precision precision, std::string reason);
     /// Builds the program of the model unless it is cached. Throws PrecisionError, BuildError, DeviceError.
-    void prepare(const Model& model, Precision precision);
+    void prepare(const Model& model, Precision precision, Accuracy accuracy = Accuracy::full);
 
     struct Impl;
     [[nodiscard]] Impl& impl() const { return *impl_; }
@@ -87,6 +90,6 @@ private:
 std::vector<DeviceInfo> list_devices();
 
 /// The whole kernel text of a model, as it goes to the compiler.
-std::string program_text(const Model& model, Precision precision, unsigned lanes);
+std::string program_text(const Model& model, Precision precision, unsigned lanes, Accuracy accuracy = Accuracy::full);
 
 }  // namespace brdfit::kernels

@@ -15,14 +15,14 @@ struct Engine::Impl {
     DeviceInfo info;
     EngineOptions options;
     std::mutex mutex;                             // guards programs; PoCL's compiler runs under it, one at a time
-    std::map<std::string, cl::Program> programs;  // by program text and precision
+    std::map<std::string, cl::Program> programs;  // by program text
     mutable std::mutex withdrawn_mutex;           // guards withdrawn; not held while the compiler runs
     std::map<Precision, std::string> withdrawn;   // why
 
     [[nodiscard]] unsigned lanes(Precision precision) const;
     [[nodiscard]] std::optional<std::string> refusal(Precision precision) const;
     /// Throws PrecisionError, BuildError, DeviceError.
-    cl::Program program(const Model& model, Precision precision);
+    cl::Program program(const Model& model, Precision precision, Accuracy accuracy);
 };
 
 /// DeviceError with the call's name and the code's.

@@ -37,8 +37,7 @@ struct DirectionSet::Impl {
                 continue;
             }
             const Angles angles(canonical(directions.empty() ? Direction{} : directions[j]));
-            for (std::size_t i = 0; i < table.size(); ++i)
-                values[i * padded + j] = table[i].read(angles, precision);
+            for (std::size_t i = 0; i < table.size(); ++i) values[i * padded + j] = table[i].read(angles, precision);
         }
         cl::Buffer made(shared.context, CL_MEM_READ_ONLY, std::max<std::size_t>(1, values.size()) * size_of(precision));
         if (!values.empty()) {
@@ -57,15 +56,14 @@ struct DirectionSet::Impl {
     std::map<std::tuple<cl_context, Precision, std::size_t>, cl::Buffer> buffers;
 };
 
-DirectionSet::DirectionSet(std::vector<Direction> directions)
-    : impl_(std::make_shared<Impl>(std::move(directions))) {}
+DirectionSet::DirectionSet(std::vector<Direction> directions) : impl_(std::make_shared<Impl>(std::move(directions))) {}
 
 std::span<const Direction> DirectionSet::directions() const { return impl_->directions; }
 
 /// Buffers hold `scalar`s; the host side is double. One conversion each way, here.
 struct Evaluator::Impl {
     Impl(Engine& engine, const Model& model_in, Precision precision_in, const DirectionSet& directions,
-         std::span<const double> y, std::span<const double> w)
+         std::span<const double> y, std::span<const double> w, Accuracy accuracy)
         : shared(engine.impl()),
           model(model_in),
           precision(precision_in),
@@ -74,7 +72,7 @@ struct Evaluator::Impl {
           padded((count + lanes - 1) / lanes * lanes),
           nonlinear(model.nonlinear().size()),
           queue(shared.context, shared.device) {
-        const cl::Program program = shared.program(model, precision);
+        const cl::Program program = shared.program(model, precision, accuracy);
         project = cl::Kernel(program, "project");
         project_value = cl::Kernel(program, "project_value");
         loss = cl::Kernel(program, "loss");
@@ -207,8 +205,8 @@ struct Evaluator::Impl {
 };
 
 Evaluator::Evaluator(Engine& engine, const Model& model, Precision precision, const DirectionSet& directions,
-                     std::span<const double> y, std::span<const double> w) try
-    : impl_(std::make_unique<Impl>(engine, model, precision, directions, y, w)) {
+                     std::span<const double> y, std::span<const double> w, Accuracy accuracy) try
+    : impl_(std::make_unique<Impl>(engine, model, precision, directions, y, w, accuracy)) {
 } catch (const cl::Error& error) {
     throw device_error(error);
 }
@@ -224,7 +222,8 @@ void Evaluator::project(std::span<const double> parameters, std::span<const doub
                         std::span<const double> upper, bool gradient, Batch& out) try {
     Impl& m = *impl_;
     cl::Kernel& kernel = gradient ? m.project : m.project_value;
-    m.reserve(m.scratch_buffer, m.width(parameters.size() / m.model.parameters.size()) * m.padded * m.model.term_values());
+    m.reserve(m.scratch_buffer,
+              m.width(parameters.size() / m.model.parameters.size()) * m.padded * m.model.term_values());
     kernel.setArg(6, m.scratch_buffer);
     m.run(kernel, parameters, lower, upper, 7, gradient, out);
 } catch (const cl::Error& error) {

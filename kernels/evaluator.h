@@ -25,7 +25,8 @@ private:
     std::shared_ptr<Impl> impl_;
 };
 
-/// What one launch returns for a batch of B candidates of a model with P parameters, T terms and Q nonlinear parameters.
+/// What one launch returns for a batch of B candidates of a model with P parameters, T terms and Q nonlinear
+/// parameters.
 struct Batch {
     std::vector<double> loss;            ///< B: sum of w r^2
     std::vector<double> coefficients;    ///< B x T: the linear coefficients c
@@ -41,7 +42,7 @@ public:
     /// Residuals are r = f - y, with weight w >= 0; all three have one entry a sample. For `loss` with `logarithmic`
     /// y is ln of the measured value. Throws PrecisionError, BuildError, DeviceError.
     Evaluator(Engine& engine, const Model& model, Precision precision, const DirectionSet& directions,
-              std::span<const double> y, std::span<const double> w);
+              std::span<const double> y, std::span<const double> w, Accuracy accuracy = Accuracy::full);
     ~Evaluator();
     Evaluator(Evaluator&&) noexcept;
     Evaluator& operator=(Evaluator&&) noexcept;

@@ -339,8 +339,8 @@ std::string generate_prelude(const Model& model, const Header& header) {
         out << "constant int " << name << "[] = {" << (entries.str().empty() ? "0" : entries.str()) << "};\n";
     };
     out << "#define PARAMETERS " << model.parameters.size() << "\n#define TERMS " << model.terms.size()
-        << "\n#define TERM_VALUES " << value << "\n#define SLOPES " << slopes << "\n#define NONLINEAR " << nonlinear.size()
-        << '\n';
+        << "\n#define TERM_VALUES " << value << "\n#define SLOPES " << slopes << "\n#define NONLINEAR "
+        << nonlinear.size() << '\n';
     table("term_value", values);
     table("slope_term", slope_terms);
     table("slope_value", slope_values);
@@ -430,6 +430,8 @@ std::vector<std::size_t> Model::nonlinear() const {
     for (const Term& term : terms) result.insert(term.of.begin(), term.of.end());
     return {result.begin(), result.end()};
 }
+
+bool Model::sums_series() const { return text.find("LOG_EPSILON") != std::string::npos; }
 
 std::size_t Model::term_values() const {
     std::size_t values = 0;

@@ -87,6 +87,8 @@ struct Model {
     [[nodiscard]] bool is_linear(std::size_t parameter) const;
     /// The parameters that some term depends on, in rising order.
     [[nodiscard]] std::vector<std::size_t> nonlinear() const;
+    /// Whether a term sums a series, whose accuracy a search may lower (Accuracy::search).
+    [[nodiscard]] bool sums_series() const;
     /// Number of values in the kernel's Terms: each term and its slopes.
     [[nodiscard]] std::size_t term_values() const;
     /// For each term the parameter values' product: c_t, given all parameters in `unit`.

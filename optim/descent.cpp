@@ -19,7 +19,10 @@ constexpr double kFirstDamping = 1e-2;
 constexpr double kMostDamping = 1e12;
 
 bool finite(const Look& look) {
-    return std::isfinite(look.value) && look.gradient.allFinite() && look.curvature.allFinite();
+    const auto all = [](const std::vector<double>& values) {
+        return std::all_of(values.begin(), values.end(), [](double x) { return std::isfinite(x); });
+    };
+    return std::isfinite(look.value) && all(look.gradient) && all(look.curvature);
 }
 
 class Descent {
@@ -38,13 +41,15 @@ public:
     void receive(const Look& look, const DescentGoal& goal) {
         ++looks_;
         const bool first = best_.u.empty();
-        if (first || (finite(look) && look.value < here_.value)) {
+        if (first || (finite(look) && look.value < here_)) {
             if (!first) {
-                const double gain = (here_.value - look.value) / promised_;
+                const double gain = (here_ - look.value) / promised_;
                 damping_ *= std::max(1.0 / 3, 1 - std::pow(2 * gain - 1, 3));
                 growth_ = 2;
             }
-            here_ = look;
+            here_ = look.value;
+            gradient_ = Eigen::Map<const VectorXd>(look.gradient.data(), static_cast<Index>(look.gradient.size()));
+            curvature_ = Eigen::Map<const MatrixXd>(look.curvature.data(), gradient_.size(), gradient_.size());
             best_.u = next_;
             best_.loss2 = look.value;
             if (!finite(look)) return stop(StopReason::roundoff);
@@ -54,8 +59,8 @@ public:
         }
         if (looks_ >= goal.looks) return stop(StopReason::evaluation_limit);
         const VectorXd step = bounded_step();
-        promised_ = -(here_.gradient.dot(step) + step.dot(here_.curvature * step) / 2);
-        if (!(promised_ > goal.relative * here_.value + goal.absolute)) {
+        promised_ = -(gradient_.dot(step) + step.dot(curvature_ * step) / 2);
+        if (!(promised_ > goal.relative * here_ + goal.absolute)) {
             // Damping may be all that holds the step back.
             return stop(damping_ > 1 ? StopReason::roundoff : StopReason::converged);
         }
@@ -67,19 +72,19 @@ public:
 private:
     /// The damped step within the cube: where it leaves, the coordinate goes to its bound and the others follow.
     [[nodiscard]] VectorXd bounded_step() const {
-        const Index n = here_.gradient.size();
+        const Index n = gradient_.size();
         const auto at = [&](Index i) { return best_.u[static_cast<std::size_t>(i)]; };
-        MatrixXd h = here_.curvature;
+        MatrixXd h = curvature_;
         const double largest = h.diagonal().maxCoeff();
         for (Index i = 0; i < n; ++i) h(i, i) += damping_ * std::max(h(i, i), 1e-9 * largest) + 1e-300;
         VectorXd step = VectorXd::Zero(n);
         std::vector<Index> inside;
         for (Index i = 0; i < n; ++i) {
-            const double g = here_.gradient(i);
+            const double g = gradient_(i);
             if (!(at(i) <= 0 && g > 0) && !(at(i) >= 1 && g < 0)) inside.push_back(i);
         }
         while (!inside.empty()) {
-            const VectorXd slope = here_.gradient + h * step;
+            const VectorXd slope = gradient_ + h * step;
             const VectorXd found = -h(inside, inside).ldlt().solve(slope(inside));
             std::vector<Index> still;
             for (Index i = 0; i < found.size(); ++i) {
@@ -102,7 +107,9 @@ private:
 
     std::vector<double> next_;
     Minimum best_{};
-    Look here_{};
+    double here_ = 0;
+    VectorXd gradient_;
+    MatrixXd curvature_;
     double promised_ = 0;
     double damping_ = kFirstDamping;
     double growth_ = 2;

@@ -6,18 +6,9 @@
 #include <span>
 #include <vector>
 
-#include <Eigen/Core>  // small dense vectors and matrices
-
 #include "optim/search.h"
 
 namespace brdfit::optim {
-
-/// An objective at a point: its value, its gradient, and its curvature by Gauss and Newton's approximation.
-struct Look {
-    double value = 0;
-    Eigen::VectorXd gradient;
-    Eigen::MatrixXd curvature;  ///< symmetric, positive semidefinite
-};
 
 /// Looks at many points at once. A look that is not finite counts as worse than any other.
 using Landscape = std::function<std::vector<Look>(std::span<const std::vector<double>> points)>;
@@ -29,8 +20,8 @@ struct DescentGoal {
     int looks = 60;  ///< most evaluations of a descent
 };
 
-/// Descends from every start, one launch for the next step of all; returns the ends in the order of the starts. A descent
-/// that comes upon the path of a better one ends there. Throws what the landscape throws.
+/// Descends from every start, one launch for the next step of all; returns the ends in the order of the starts. A
+/// descent that comes upon the path of a better one ends there. Throws what the landscape throws.
 std::vector<Minimum> descend_together(const Landscape& landscape, const std::vector<std::vector<double>>& starts,
                                       const DescentGoal& goal, const SearchControl& control);
 

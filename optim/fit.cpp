@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <cmath>
 #include <future>
+#include <iterator>
+#include <list>
 #include <numbers>
 #include <set>
 
@@ -33,6 +35,12 @@ std::vector<kernels::Direction> directions_of(const Channel& channel) {
     std::vector<kernels::Direction> directions;
     for (const Sample& sample : channel.samples) directions.push_back(sample.direction);
     return directions;
+}
+
+bool same_directions(const Channel& channel, const kernels::DirectionSet& directions) {
+    return std::equal(
+        channel.samples.begin(), channel.samples.end(), directions.directions().begin(), directions.directions().end(),
+        [](const Sample& sample, const kernels::Direction& direction) { return sample.direction == direction; });
 }
 
 std::size_t free_parameters(const std::vector<Interval>& bounds) {
@@ -76,16 +84,6 @@ Channel divided(Channel channel, double scale) {
     return channel;
 }
 
-/// One (channel, model) of a request.
-struct Work {
-    kernels::Engine& engine;
-    const Channel& channel;
-    Unit unit;
-    const ModelRequest& request;
-    const FitOptions& options;
-    SearchControl control;
-};
-
 /// The angles of a curve: even steps over the channel's range, finer about the mirror direction.
 std::vector<double> curve_angles(const Channel& channel, double theta_i_deg) {
     double low = 90;
@@ -109,29 +107,49 @@ std::vector<double> curve_angles(const Channel& channel, double theta_i_deg) {
     return {angles.begin(), angles.end()};
 }
 
-std::vector<double> scaled_values(const Work& work, kernels::Precision precision, const Optimum& optimum,
-                                  const std::vector<kernels::Direction>& directions) {
-    std::vector<double> f =
-        kernels::evaluate(work.engine, *optimum.model, precision, optimum.parameters, directions, false).f;
-    for (double& value : f) value *= optimum.scale;
-    return f;
-}
+/// What of a channel depends on directions alone; channels with the same directions share it.
+struct Directions {
+    explicit Directions(const Channel& channel) : samples(directions_of(channel)), curve_points(curves_of(channel)) {}
+
+    kernels::DirectionSet samples;
+    std::vector<Fit::Curve> curves;  ///< without values
+    kernels::DirectionSet curve_points;
+
+private:
+    std::vector<kernels::Direction> curves_of(const Channel& channel) {
+        std::set<double> incidences;
+        for (const Sample& sample : channel.samples)
+            if (canonical(sample.direction).phi_deg == 0) incidences.insert(sample.direction.theta_i_deg);
+        std::vector<kernels::Direction> directions;
+        for (const double theta_i_deg : incidences) {
+            curves.push_back({theta_i_deg, curve_angles(channel, theta_i_deg), {}});
+            for (const double theta_r_deg : curves.back().theta_r_deg)
+                directions.push_back({theta_i_deg, theta_r_deg, 0});
+        }
+        return directions;
+    }
+};
+
+/// One (channel, model) of a request.
+struct Work {
+    kernels::Engine& engine;
+    const Channel& channel;
+    const Directions& directions;
+    Unit unit;
+    const ModelRequest& request;
+    const FitOptions& options;
+    SearchControl control;
+};
 
 void add_curves(const Work& work, kernels::Precision precision, const Optimum& optimum, Fit& fit) {
-    std::set<double> incidences;
-    for (const Sample& sample : work.channel.samples)
-        if (canonical(sample.direction).phi_deg == 0) incidences.insert(sample.direction.theta_i_deg);
-    std::vector<kernels::Direction> directions;
-    for (const double theta_i_deg : incidences) {
-        fit.curves.push_back({theta_i_deg, curve_angles(work.channel, theta_i_deg), {}});
-        for (const double theta_r_deg : fit.curves.back().theta_r_deg)
-            directions.push_back({theta_i_deg, theta_r_deg, 0});
-    }
-    const std::vector<double> f = scaled_values(work, precision, optimum, directions);
+    fit.curves = work.directions.curves;
+    const std::vector<double> f = kernels::evaluate(work.engine, *optimum.model, precision, optimum.parameters,
+                                                    work.directions.curve_points, false)
+                                      .f;
     auto next = f.begin();
     for (Fit::Curve& curve : fit.curves) {
         const auto end = next + static_cast<std::ptrdiff_t>(curve.theta_r_deg.size());
-        curve.brdf.assign(next, end);
+        std::transform(next, end, std::back_inserter(curve.brdf), [&](double value) { return value * optimum.scale; });
         next = end;
     }
 }
@@ -174,8 +192,7 @@ double effect(const Weighted& weighted, const Residuals& residuals, const std::v
 /// Terms that the samples do not see.
 void add_unseen_terms(const Work& work, kernels::Precision precision, const Optimum& optimum, Fit& fit) {
     const Model& model = *optimum.model;
-    const auto directions = directions_of(work.channel);
-    kernels::Evaluator evaluator(work.engine, model, precision, directions, {}, {});
+    kernels::Evaluator evaluator(work.engine, model, precision, work.directions.samples, {}, {});
     const std::vector<double> rows = evaluator.terms(optimum.parameters);
     const std::vector<double> c = model.coefficients(optimum.parameters);
     const auto largest = [](auto begin, auto end) {
@@ -186,7 +203,7 @@ void add_unseen_terms(const Work& work, kernels::Precision precision, const Opti
     const double seen = kUnseen * largest(fit.values.begin(), fit.values.end()) / optimum.scale;
     auto row = rows.begin();
     for (std::size_t t = 0; t < model.terms.size(); ++t) {
-        const auto n = static_cast<std::ptrdiff_t>(directions.size());
+        const auto n = static_cast<std::ptrdiff_t>(evaluator.samples());
         if (!model.terms[t].of.empty() && std::abs(c[t]) * largest(row, row + n) <= seen)
             fit.warnings.push_back(model.terms[t].name + " is zero at every sample");
         row += n * static_cast<std::ptrdiff_t>(1 + model.terms[t].of.size());
@@ -195,12 +212,9 @@ void add_unseen_terms(const Work& work, kernels::Precision precision, const Opti
 
 /// Parameter values with their errors, in the wire's unit.
 void add_parameters(const Work& work, kernels::Precision precision, const Weighted& weighted, const Optimum& optimum,
-                    const std::vector<Interval>& bounds, Fit& fit) {
+                    const std::vector<Interval>& bounds, const kernels::Values& values, Fit& fit) {
     const Model& model = *optimum.model;
-    const auto directions = directions_of(work.channel);
-    const kernels::Values values =
-        kernels::evaluate(work.engine, model, precision, optimum.parameters, directions, true);
-    const std::size_t n = directions.size();
+    const std::size_t n = values.f.size();
 
     const Residuals at = residuals(weighted, fit.values);
     std::vector<std::size_t> free;
@@ -307,14 +321,16 @@ Fit describe(const Work& work, const Prepared& prepared, Optimum optimum) {
     fit.model = work.request.family->name;
     fit.lobes = optimum.model->repeats;
     if (work.unit == Unit::relative) fit.scale = optimum.scale;
-    fit.values = scaled_values(work, precision, optimum, directions_of(work.channel));
+    const kernels::Values values =
+        kernels::evaluate(work.engine, *optimum.model, precision, optimum.parameters, work.directions.samples, true);
+    for (const double value : values.f) fit.values.push_back(value * optimum.scale);
     fit.loss = std::sqrt(residuals(weighted, fit.values).loss2);
     if (!std::isfinite(fit.loss)) throw SearchError("the model gave a value that is not finite");
     fit.relative_loss = weighted.norm > 0 ? fit.loss / weighted.norm : 0.0;
     std::size_t free = free_parameters(prepared.bounds);
     if (work.unit == Unit::relative && knows_scale(*optimum.model)) ++free;
     describe_errors(work.channel, weighted, free, fit);
-    add_parameters(work, precision, weighted, optimum, prepared.bounds, fit);
+    add_parameters(work, precision, weighted, optimum, prepared.bounds, values, fit);
     add_curves(work, precision, optimum, fit);
     fit.search = optimum.record;
     const double found =
@@ -344,11 +360,11 @@ Fit fit_model(const Work& work) {
     const auto start = Clock::now();
     const kernels::Family& family = *work.request.family;
     const bool automatic = family.repeat && !work.request.lobes;
-    const kernels::Precision precision = work.options.precision.value_or(work.engine.best_precision());
     if (const double rms = data_rms(work.channel); rms > 0 && rms < kSmallestData)
         throw SearchError("the BRDF values are too small, below 1e-100, where squares vanish: use another unit");
     std::optional<Optimum> smaller;
     std::optional<Fit> fit;
+    std::size_t evaluations = 0;
     for (std::size_t lobes = family.repeat ? family.repeat->min : 1; lobes <= work.request.most_lobes(); ++lobes) {
         const Model& model = family.variant(lobes);
         const Prepared prepared = prepare(work, model);
@@ -361,19 +377,30 @@ Fit fit_model(const Work& work) {
             throw SearchError("too few samples: " + std::to_string(weighted.used) + " usable ones for " +
                               std::to_string(free) + " free parameters");
         }
-        const Task task{work.engine,         model,        prepared.channel, weighted, precision,
-                        work.options.effort, work.control, prepared.scale};
-        const Optimum optimum =
-            find_optimum(task, prepared.bounds, smaller ? &*smaller : nullptr, SpecialCases::start_from);
-        Fit next = describe(work, prepared, optimum);
-        if (automatic && fit && !(next.bic < fit->bic - kEvidence)) break;
-        fit = std::move(next);
-        smaller = optimum;
-        if (automatic && lobes < work.request.most_lobes() && work.control.over()) {
+        const Task task{work.engine,
+                        model,
+                        prepared.channel,
+                        work.directions.samples,
+                        weighted,
+                        work.options.precision,
+                        work.options.effort,
+                        work.control,
+                        prepared.scale};
+        Optimum optimum = find_optimum(task, prepared.bounds, smaller ? &*smaller : nullptr);
+        evaluations = optimum.record.evaluations += evaluations;
+        const bool last = lobes == work.request.most_lobes();
+        if (automatic || last) {
+            Fit next = describe(work, prepared, optimum);
+            if (automatic && fit && !(next.bic < fit->bic - kEvidence)) break;
+            fit = std::move(next);
+        }
+        smaller = std::move(optimum);
+        if (automatic && !last && work.control.over()) {
             fit->search.stop_reason = stop_of(work.control);
             break;
         }
     }
+    fit->search.evaluations = evaluations;
     fit->search.time_s = std::chrono::duration<double>(Clock::now() - start).count();
     return std::move(*fit);
 }
@@ -483,8 +510,8 @@ Fitter::~Fitter() { pool_->pool.join(); }
 void Fitter::warm_up(const kernels::Family& family) {
     const std::vector<kernels::Direction> directions(1);
     const std::vector<double> one(1, 1.0);
-    for (const Model& model : family.variants) {
-        kernels::Evaluator evaluator(engine_, model, engine_.best_precision(), directions, one, one);
+    const auto run = [&](const Model& model, kernels::Precision precision, kernels::Accuracy accuracy) {
+        kernels::Evaluator evaluator(engine_, model, precision, directions, one, one, accuracy);
         std::vector<double> parameters;
         for (const kernels::Parameter& p : model.parameters) parameters.push_back(p.typical_min);
         const std::vector<double> c(model.terms.size(), 1.0);
@@ -493,6 +520,10 @@ void Fitter::warm_up(const kernels::Family& family) {
         evaluator.project(parameters, c, c, false, batch);
         evaluator.loss(parameters, c, false, batch);
         (void)evaluator.terms(parameters);
+    };
+    for (const Model& model : family.variants) {
+        run(model, engine_.best_precision(), kernels::Accuracy::full);
+        if (model.sums_series()) run(model, engine_.quickest_precision(), kernels::Accuracy::search);
     }
 }
 
@@ -513,22 +544,29 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
         for (const ModelRequest& model : models) (void)samples_needed(model, channel);
     }
 
-    std::vector<std::vector<std::future<Outcome>>> futures;
+    std::list<Directions> directions;
+    std::vector<std::packaged_task<Outcome()>> tasks;  // channels x models
+    std::vector<std::future<Outcome>> futures;
     for (const Channel& channel : dataset.channels) {
-        futures.emplace_back();
+        if (directions.empty() || !same_directions(channel, directions.back().samples))
+            directions.emplace_back(channel);
         for (const ModelRequest& model : models) {
-            std::packaged_task<Outcome()> task(
-                [&, work = Work{engine_, channel, dataset.unit, model, options, control}] { return try_fit(work); });
-            futures.back().push_back(task.get_future());
-            boost::asio::post(pool_->pool, std::move(task));
+            const Work work{engine_, channel, directions.back(), dataset.unit, model, options, control};
+            tasks.emplace_back([work] { return try_fit(work); });
+            futures.push_back(tasks.back().get_future());
         }
     }
-    for (auto& channel : futures)
-        for (auto& future : channel) future.wait();  // tasks refer to this call's arguments
-    for (std::size_t c = 0; c < futures.size(); ++c) {
+    // The longest first, so that no thread is left with one at the end.
+    for (const bool longest : {true, false})
+        for (std::size_t i = 0; i < tasks.size(); ++i)
+            if (models[i % models.size()].family->variants.front().sums_series() == longest)
+                boost::asio::post(pool_->pool, std::move(tasks[i]));
+    for (auto& future : futures) future.wait();  // tasks refer to this call's arguments
+    auto future = futures.begin();
+    for (const Channel& channel : dataset.channels) {
         std::vector<Outcome> outcomes;
-        for (auto& future : futures[c]) outcomes.push_back(future.get());
-        report.channels.push_back(rank(dataset.channels[c], std::move(outcomes)));
+        for (std::size_t i = 0; i < models.size(); ++i) outcomes.push_back((future++)->get());
+        report.channels.push_back(rank(channel, std::move(outcomes)));
     }
     return report;
 }

@@ -3,9 +3,9 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
-#include <random>
 
 #include "kernels/evaluator.h"
+#include "optim/descent.h"
 #include "optim/search.h"
 #include "optim/stationarity.h"
 
@@ -15,16 +15,13 @@ namespace {
 using kernels::Evaluator;
 using kernels::Model;
 
-/// Guesses for the lobe that a larger variant has more.
-constexpr std::size_t kLobeGuesses = 256;
+/// Points of a special case that are looked at, and those from which it descends.
+constexpr std::size_t kSpecialPoints = 16;
+constexpr std::size_t kSpecialStarts = 2;
 /// Ends of the quadratic search that the descent for another loss starts from.
 constexpr std::size_t kPolished = 6;
-
-std::vector<kernels::Direction> directions_of(const Task& task) {
-    std::vector<kernels::Direction> directions;
-    for (const Sample& sample : task.channel.samples) directions.push_back(sample.direction);
-    return directions;
-}
+/// Of NLopt's SLSQP from the best of their ends.
+constexpr int kDescentEvaluations = 500;
 
 /// A point to start from.
 struct Start {
@@ -32,51 +29,38 @@ struct Start {
     double scale = 1;
 };
 
-/// The smaller variant's optimum with guesses for the lobe that it lacks; the first has height 0.
-std::vector<Start> extended(const Model& model, const Optimum& smaller, std::uint64_t seed) {
-    std::vector<bool> is_height(model.parameters.size(), false);
-    for (const kernels::Term& term : model.terms) {
-        if (term.factor) is_height[*term.factor] = true;
-        if (term.homogeneous)
-            is_height[term.homogeneous->plane.first] = is_height[term.homogeneous->plane.second] = true;
-    }
-    std::mt19937_64 random(seed);
-    std::uniform_real_distribution<double> uniform(0, 1);
-    std::vector<Start> starts(1 + kLobeGuesses, {std::vector<double>(model.parameters.size()), smaller.scale});
-    for (std::size_t i = 0; i < model.parameters.size(); ++i) {
-        const kernels::Parameter& parameter = model.parameters[i];
+/// The smaller variant's optimum with further lobes of no height.
+Start extended(const Model& model, const Optimum& smaller) {
+    Start start{{}, smaller.scale};
+    for (const kernels::Parameter& parameter : model.parameters) {
         const auto known = smaller.model->find(parameter.name);
-        for (Start& start : starts) {
-            const double x = uniform(random);
-            double& value = start.parameters[i];
-            if (known) value = smaller.parameters[*known];
-            else if (&start == &starts.front() && is_height[i]) value = 0;
-            else if (parameter.scale == kernels::Scale::logarithmic)
-                value = parameter.typical_min * std::pow(parameter.typical_max / parameter.typical_min, x);
-            else value = parameter.typical_min + x * (parameter.typical_max - parameter.typical_min);
-        }
+        const bool logarithmic = parameter.scale == kernels::Scale::logarithmic;
+        start.parameters.push_back(known         ? smaller.parameters[*known]
+                                   : logarithmic ? std::sqrt(parameter.typical_min * parameter.typical_max)
+                                                 : 0.0);
     }
-    return starts;
+    return start;
 }
 
-/// The optimum of each special case that the bounds leave open; counts its evaluations.
-std::vector<Start> special_cases(const Task& task, const std::vector<Interval>& bounds, SearchRecord& record) {
-    std::vector<Start> starts;
+/// Starts within each special case that the bounds leave open.
+std::vector<std::vector<double>> special_starts(const Task& task, SpaceLoss& loss) {
+    const SearchSpace& space = loss.space();
+    std::vector<std::vector<double>> starts;
     for (const kernels::SpecialCase& special : task.model.special_cases) {
-        std::vector<Interval> narrowed = bounds;
-        bool narrower = false;
-        bool possible = true;
-        for (const auto& [parameter, value] : special.fixed) {
-            possible = possible && bounds[parameter].min <= value && value <= bounds[parameter].max;
-            narrower = narrower || !bounds[parameter].fixed();
-            narrowed[parameter] = {value, value};
+        const auto& bounds = space.bounds();
+        const bool possible = std::all_of(special.fixed.begin(), special.fixed.end(), [&](const auto& fixed) {
+            return bounds[fixed.first].min <= fixed.second && fixed.second <= bounds[fixed.first].max;
+        });
+        if (!possible) continue;
+        std::vector<std::vector<double>> points = screening_points(space, kSpecialPoints, task.control.seed + 1);
+        for (std::vector<double>& u : points) {
+            std::vector<double> parameters = space.candidate(u).parameters;
+            for (const auto& [parameter, value] : special.fixed) parameters[parameter] = value;
+            const double scale = std::sqrt(task.scale.min * task.scale.max);
+            u = space.coordinates(parameters, scale);
         }
-        if (!possible || !narrower || task.control.over()) continue;
-        Task quick = task;  // a start among others needs no certainty
-        quick.effort = Effort::draft;
-        const Optimum optimum = find_optimum(quick, narrowed, nullptr, SpecialCases::pass_over);
-        record.evaluations += optimum.record.evaluations;
-        starts.push_back({optimum.parameters, optimum.scale});
+        for (auto& start : best_distinct(points, loss.screen(points, task.control), kSpecialStarts))
+            starts.push_back(std::move(start));
     }
     return starts;
 }
@@ -124,37 +108,6 @@ Weighted balanced(Weighted weighted) {
     return weighted;
 }
 
-/// The loss of a task in all parameters, for a loss that is not quadratic in the coefficients. References must outlive
-/// it.
-class FullLoss {
-public:
-    FullLoss(const Task& task, const SearchSpace& space, kernels::Precision precision)
-        : space_(space),
-          logarithmic_(task.weighted.logarithmic),
-          evaluator_(task.engine, task.model, precision, directions_of(task), task.weighted.y, task.weighted.weight) {}
-
-    double operator()(std::span<const double> u, std::span<double> gradient) {
-        ++evaluations_;
-        const Candidate at = space_.candidate(u);
-        evaluator_.loss(at.parameters, at.lower, logarithmic_, batch_);
-        if (!gradient.empty()) {
-            space_.gradient(u, at, batch_.coefficients, batch_.by_parameter, batch_.by_coefficient, gradient);
-            // Near underflow the slope of a logarithm overflows; at underflow there is none.
-            for (double& slope : gradient)
-                if (!std::isfinite(slope)) slope = 0;
-        }
-        return batch_.loss[0];
-    }
-    [[nodiscard]] std::size_t evaluations() const { return evaluations_; }
-
-private:
-    const SearchSpace& space_;
-    bool logarithmic_;
-    Evaluator evaluator_;
-    kernels::Batch batch_;
-    std::size_t evaluations_ = 0;
-};
-
 /// The end of a search in parameters, with what its record says so far.
 Optimum optimum_at(const Task& task, const SearchSpace& space, const Minimum& end, const SearchRecord& record) {
     Optimum optimum{&task.model, {}, 1, end.loss2, record};
@@ -176,104 +129,100 @@ Optimum better_of(const Optimum& found, Optimum settled) {
     return kept;
 }
 
-/// Settles an optimum of the projected loss, in the precision of what is reported.
-Optimum settled(const Task& task, const std::vector<Interval>& bounds, const Weighted& quadratic, double scale2,
-                const Optimum& found) {
+/// The search's end in the parameters themselves, settled in the precision of what is reported. The loss is the
+/// projected one, or with Unknowns::all that in all parameters.
+Optimum settled(const Task& task, const std::vector<Interval>& bounds, const Weighted& weighted, Unknowns unknowns,
+                double level, double scale2, const Optimum& found) {
     const kernels::Precision precision = task.engine.best_precision();
-    const SearchSpace space(task.model, bounds, Unknowns::nonlinear, task.scale, 1, Charts::passed_over);
-    Evaluator evaluator(task.engine, task.model, precision, directions_of(task), quadratic.y, quadratic.weight);
-    ProjectedLoss problem(evaluator, space, scale2);
-    const Objective objective = [&](std::span<const double> u, std::span<double> g) { return problem(u, g); };
-    Minimum end{space.coordinates(found.parameters, found.scale), {}, 0, found.record.stop_reason};
-    end = settle(objective, std::move(end), resolution(precision), task.control);
-    problem.complete(end);
-    end.loss2 /= scale2;
-    Optimum optimum = optimum_at(task, space, end, found.record);
-    optimum.record.evaluations += problem.evaluations();
-    return better_of(found, std::move(optimum));
-}
-
-/// The same for the loss in all parameters.
-Optimum settled_in_all(const Task& task, const std::vector<Interval>& bounds, double level, const Optimum& found) {
-    const kernels::Precision precision = task.engine.best_precision();
-    const SearchSpace space(task.model, bounds, Unknowns::all, task.scale, level, Charts::passed_over);
-    FullLoss loss(task, space, precision);
+    const SearchSpace space(task.model, bounds, unknowns, task.scale, level, Charts::passed_over);
+    if (space.dimension() == 0) return found;
+    Evaluator evaluator(task.engine, task.model, precision, task.directions, weighted.y, weighted.weight);
+    SpaceLoss loss(evaluator, space, scale2, weighted.logarithmic);
     const Objective objective = [&](std::span<const double> u, std::span<double> g) { return loss(u, g); };
     Minimum end{space.coordinates(found.parameters, found.scale), {}, 0, found.record.stop_reason};
     end = settle(objective, std::move(end), resolution(precision), task.control);
-    end.loss2 = objective(end.u, {});
-    end.coefficients = space.candidate(end.u).lower;
+    loss.complete(end);
+    end.loss2 /= scale2;
     Optimum optimum = optimum_at(task, space, end, found.record);
     optimum.record.evaluations += loss.evaluations();
     return better_of(found, std::move(optimum));
 }
 
-/// Descents in all parameters.
+/// Descents in all parameters, for a loss that is not quadratic in the coefficients.
 Optimum descend_in_all(const Task& task, const std::vector<Interval>& bounds, double level,
                        const std::vector<Start>& starts) {
+    constexpr DescentGoal kGoal{1e-11, 1e-26, 200};
     const SearchSpace space(task.model, bounds, Unknowns::all, task.scale, level);
-    FullLoss loss(task, space, task.precision);
-    const Objective objective = [&](std::span<const double> u, std::span<double> g) { return loss(u, g); };
+    Evaluator evaluator(task.engine, task.model, task.precision.value_or(task.engine.best_precision()), task.directions,
+                        task.weighted.y, task.weighted.weight);
+    SpaceLoss loss(evaluator, space, 1, task.weighted.logarithmic);
     std::vector<std::vector<double>> points;
     for (const Start& start : starts) points.push_back(space.coordinates(start.parameters, start.scale));
-    Descents found = descend_all(objective, points, 500, task.control);
-    found.best.coefficients = space.candidate(found.best.u).lower;
-    return optimum_at(task, space, found.best,
-                      {found.ends.size(), found.agreed, loss.evaluations(), found.best.stop, 0});
+    const Landscape landscape = [&](auto at) { return loss.looks(at); };
+    const std::vector<Minimum> ends = descend_together(landscape, points, kGoal, task.control);
+    Minimum best = *std::min_element(ends.begin(), ends.end(),
+                                     [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
+    const auto agreed = std::count_if(ends.begin(), ends.end(), [&](const Minimum& end) {
+        return std::sqrt(end.loss2) <= 1.001 * std::sqrt(best.loss2) + 1e-12;
+    });
+    if (!task.control.over()) {
+        const Objective objective = [&](std::span<const double> u, std::span<double> g) { return loss(u, g); };
+        Minimum further = descend(objective, best.u, kDescentEvaluations, 1e-13, task.control);
+        if (further.loss2 < best.loss2) best = std::move(further);
+    }
+    loss.complete(best);
+    return optimum_at(task, space, best,
+                      {ends.size(), static_cast<std::size_t>(agreed), loss.evaluations(), best.stop, 0});
 }
 
 }  // namespace
 
-Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, const Optimum* smaller,
-                     SpecialCases with_special_cases) {
-    SearchRecord extra;
-    std::vector<Start> known;
-    if (with_special_cases == SpecialCases::start_from) known = special_cases(task, bounds, extra);
-    const std::size_t fixed_starts = known.size() + (smaller != nullptr ? 1 : 0);
-    if (smaller != nullptr) {
-        const std::vector<Start> guesses = extended(task.model, *smaller, task.control.seed);
-        known.insert(known.end(), guesses.begin(), guesses.end());
-    }
-
+Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, const Optimum* smaller) {
     // A logarithmic loss is searched through the relative one, which it equals for small residuals.
     const Weighted quadratic =
         balanced(task.weighted.logarithmic ? weigh(task.channel, Loss::relative) : task.weighted);
-    const SearchSpace space(task.model, bounds, Unknowns::nonlinear, task.scale);
-    Evaluator evaluator(task.engine, task.model, task.precision, directions_of(task), quadratic.y, quadratic.weight);
-    std::vector<std::vector<double>> seeds;
-    for (const Start& start : known) {
-        seeds.push_back(space.coordinates(start.parameters, start.scale));
-        // On an edge of the cube the slope across may vanish by symmetry: begin a little inside as well.
-        std::vector<double> inside = seeds.back();
-        for (double& x : inside) x = std::clamp(x, 0.02, 0.98);
-        if (inside != seeds.back()) seeds.push_back(std::move(inside));
-    }
     const double scale2 = quadratic.norm > 0 ? quadratic.norm * quadratic.norm : 1.0;
-    SearchResult found =
-        search_projected(evaluator, space, budget(task.effort, space.dimension()), task.control, scale2, seeds);
+    const SearchSpace space(task.model, bounds, Unknowns::nonlinear, task.scale);
+    Evaluator evaluator(task.engine, task.model, task.precision.value_or(task.engine.best_precision()), task.directions,
+                        quadratic.y, quadratic.weight);
+    SpaceLoss exact(evaluator, space, scale2);
+    std::optional<Evaluator> quick_evaluator;
+    std::optional<SpaceLoss> quick_loss;
+    if (!task.precision && task.model.sums_series()) {
+        const kernels::Precision precision = task.engine.quickest_precision();
+        quick_evaluator.emplace(task.engine, task.model, precision, task.directions, quadratic.y, quadratic.weight,
+                                kernels::Accuracy::search);
+        quick_loss.emplace(*quick_evaluator, space, scale2);
+    }
+    SpaceLoss& quick = quick_loss ? *quick_loss : exact;
+
+    std::vector<std::vector<double>> seeds = special_starts(task, quick);
+    if (smaller != nullptr) {
+        const Start start = extended(task.model, *smaller);
+        seeds.push_back(space.coordinates(start.parameters, start.scale));
+    }
+    SearchResult found = search_space(quick, exact, budget(task.effort, space.dimension()), task.control, seeds);
     found.best.loss2 /= scale2;
     Optimum optimum = optimum_at(task, space, found.best, found.record);
-    // A special case is a start among others.
-    const bool settles = with_special_cases == SpecialCases::start_from && !task.control.over();
-    if (task.weighted.logarithmic) {
-        known.resize(fixed_starts);
-        ProjectedLoss problem(evaluator, space, scale2);
-        for (std::size_t i = 0; i < std::min(kPolished, found.minima.size()); ++i) {
-            problem.complete(found.minima[i]);
-            Start start;
-            start.parameters = space.parameters(found.minima[i].u, found.minima[i].coefficients, start.scale);
-            known.push_back(std::move(start));
-        }
-        const Levels levels = levels_of(task);
-        add_lit(task, bounds, levels, known);
-        const double level = 0.1 * levels.least;
-        optimum = descend_in_all(task, bounds, level, known);
-        optimum.record.evaluations += found.record.evaluations;
-        if (settles) optimum = settled_in_all(task, bounds, level, optimum);
-    } else if (settles && space.dimension() > 0) {
-        optimum = settled(task, bounds, quadratic, scale2, optimum);
+    if (!task.weighted.logarithmic) {
+        if (!task.control.over()) optimum = settled(task, bounds, quadratic, Unknowns::nonlinear, 1, scale2, optimum);
+        return optimum;
     }
-    optimum.record.evaluations += extra.evaluations;
+
+    std::vector<Start> starts;
+    if (smaller != nullptr) starts.push_back(extended(task.model, *smaller));
+    for (std::size_t i = 0; i < std::min(kPolished, found.minima.size()); ++i) {
+        exact.complete(found.minima[i]);
+        Start start;
+        start.parameters = space.parameters(found.minima[i].u, found.minima[i].coefficients, start.scale);
+        starts.push_back(std::move(start));
+    }
+    const Levels levels = levels_of(task);
+    add_lit(task, bounds, levels, starts);
+    const double level = 0.1 * levels.least;
+    optimum = descend_in_all(task, bounds, level, starts);
+    optimum.record.evaluations += found.record.evaluations;
+    if (!task.control.over()) optimum = settled(task, bounds, task.weighted, Unknowns::all, level, 1, optimum);
     return optimum;
 }
 

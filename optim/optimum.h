@@ -1,9 +1,11 @@
 /// The best parameters of one variant of a model on one channel.
 #pragma once
 
+#include <optional>
 #include <vector>
 
 #include "kernels/engine.h"
+#include "kernels/evaluator.h"
 #include "kernels/model.h"
 #include "optim/dataset.h"
 #include "optim/loss.h"
@@ -18,8 +20,10 @@ struct Task {
     kernels::Engine& engine;
     const kernels::Model& model;
     const Channel& channel;
-    const Weighted& weighted;  ///< the channel under the loss
-    kernels::Precision precision;
+    const kernels::DirectionSet& directions;  ///< of the channel's samples
+    const Weighted& weighted;                 ///< the channel under the loss
+    /// None: what is quick for the search, the best that may be used for its end.
+    std::optional<kernels::Precision> precision;
     Effort effort;
     SearchControl control;
     ScaleRange scale;  ///< of relative data; {1, 1} for absolute data
@@ -33,13 +37,9 @@ struct Optimum {
     SearchRecord record;
 };
 
-/// Whether the optima of the model's special cases are found first, as starts.
-enum class SpecialCases { start_from, pass_over };
-
 /// Searches within the bounds (one for each parameter, in the model's unit). `smaller`: the optimum of a variant with
 /// fewer lobes, whose loss this one will not exceed; may be nullptr. Throws kernels::DeviceError, kernels::BuildError,
 /// SearchError.
-Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, const Optimum* smaller,
-                     SpecialCases special_cases);
+Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, const Optimum* smaller);
 
 }  // namespace brdfit::optim

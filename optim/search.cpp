@@ -9,7 +9,10 @@
 #include <random>
 
 #include <nlopt.h>
+#include <Eigen/Core>
 #include <boost/random/sobol.hpp>
+
+#include "optim/descent.h"
 
 namespace brdfit::optim {
 namespace {
@@ -122,21 +125,34 @@ Minimum explore(const Objective& objective, std::size_t dimension, int max_evalu
     return run(std::move(opt), objective, std::vector<double>(dimension, 0.5), control);
 }
 
-/// Sobol's points, shifted by the seed, modulo 1: three of four within the typical range, the others anywhere.
-std::vector<std::vector<double>> screening_points(const SearchSpace& space, std::size_t count, std::uint64_t seed) {
-    const std::size_t d = space.dimension();
-    const std::vector<Interval> typical = space.typical();
+/// Sobol's points of d dimensions, shifted by the seed, modulo 1.
+std::vector<std::vector<double>> sobol_points(std::size_t d, std::size_t count, std::uint64_t seed) {
     std::mt19937_64 random(seed);
     std::uniform_real_distribution<double> uniform(0.0, 1.0);
     std::vector<double> shift(d);
     for (double& s : shift) s = uniform(random);
     boost::random::sobol sobol(d);
     std::vector<std::vector<double>> points(count, std::vector<double>(d));
-    for (std::size_t i = 0; i < count; ++i)
+    for (auto& point : points)
         for (std::size_t j = 0; j < d; ++j) {
-            double x = static_cast<double>(sobol()) / 18446744073709551616.0 + shift[j];
-            x -= std::floor(x);
-            points[i][j] = i % 4 == 3 ? x : typical[j].min + x * (typical[j].max - typical[j].min);
+            const double x = static_cast<double>(sobol()) / 18446744073709551616.0 + shift[j];
+            point[j] = x - std::floor(x);
+        }
+    return points;
+}
+
+/// The point with other coordinates in one block, from half way between the typical range and the whole.
+std::vector<std::vector<double>> exchanged_points(const SearchSpace& space, const std::vector<double>& base,
+                                                  const std::vector<std::size_t>& block, std::size_t count,
+                                                  std::uint64_t seed) {
+    const std::vector<Interval> typical = space.typical();
+    std::vector<std::vector<double>> points(count, base);
+    const auto fresh = sobol_points(block.size(), count, seed);
+    for (std::size_t i = 0; i < count; ++i)
+        for (std::size_t j = 0; j < block.size(); ++j) {
+            const double low = typical[block[j]].min / 2;
+            const double high = (1 + typical[block[j]].max) / 2;
+            points[i][block[j]] = low + fresh[i][j] * (high - low);
         }
     return points;
 }
@@ -147,7 +163,38 @@ double distance(std::span<const double> a, std::span<const double> b) {
     return largest;
 }
 
-/// The best points that are not close to a better one.
+/// Ends that differ, best first.
+std::vector<Minimum> distinct_ends(const std::vector<Minimum>& ends, double close) {
+    std::vector<Minimum> result;
+    for (const Minimum& end : ends)
+        if (std::none_of(result.begin(), result.end(), [&](const Minimum& m) { return distance(m.u, end.u) < close; }))
+            result.push_back(end);
+    return result;
+}
+
+/// Descents stop short of what the arithmetic of a search can tell.
+constexpr DescentGoal kQuickGoal{1e-5, 1e-12, 60};
+constexpr DescentGoal kExactGoal{1e-11, 1e-26, 100};
+/// Starts of each block of an exchange.
+constexpr std::size_t kExchangeStarts = 3;
+/// Rounds of exchanges, while each gains.
+constexpr int kExchangeRounds = 4;
+/// Ends whose loss^2 is this near to the best are worth polishing ...
+constexpr double kPolishWithin = 1.05;
+/// ... so many of them.
+constexpr std::size_t kPolished = 3;
+
+}  // namespace
+
+std::vector<std::vector<double>> screening_points(const SearchSpace& space, std::size_t count, std::uint64_t seed) {
+    const std::vector<Interval> typical = space.typical();
+    auto points = sobol_points(space.dimension(), count, seed);
+    for (std::size_t i = 0; i < count; ++i)
+        for (std::size_t j = 0; i % 4 != 3 && j < typical.size(); ++j)
+            points[i][j] = typical[j].min + points[i][j] * (typical[j].max - typical[j].min);
+    return points;
+}
+
 std::vector<std::vector<double>> best_distinct(const std::vector<std::vector<double>>& points,
                                                const std::vector<double>& values, std::size_t count) {
     constexpr double kClose = 0.05;
@@ -163,51 +210,103 @@ std::vector<std::vector<double>> best_distinct(const std::vector<std::vector<dou
     return chosen;
 }
 
-/// Seeds that descend.
-constexpr std::size_t kSeedStarts = 8;
-
-}  // namespace
-
 SearchBudget budget(Effort effort, std::size_t dimension) {
-    const std::size_t factor = effort == Effort::draft ? 1 : effort == Effort::standard ? 4 : 16;
-    if (dimension <= 1) return {16 * factor, 2, 40, 100};
-    return {32 * factor * (dimension - 1), 3 * factor, static_cast<int>(40 * factor), 200};
+    const std::size_t factor = effort == Effort::thorough ? 8 : 1;
+    const int global = effort == Effort::thorough ? 500 : 0;
+    if (dimension <= 1) return {48 * factor, 4 * factor, 0, 0, global};
+    const SearchBudget standard{32 * factor * dimension, 2 * factor * dimension, 2 * factor, 48 * factor, global};
+    if (effort != Effort::draft) return standard;
+    return {standard.screened / 2, standard.starts / 2, 0, 0, 0};
 }
 
-double ProjectedLoss::operator()(std::span<const double> u, std::span<double> gradient) {
-    ++evaluations_;
-    const Candidate at = space_.candidate(u);
-    evaluator_.project(at.parameters, at.lower, at.upper, !gradient.empty(), batch_);
+void SpaceLoss::evaluate(std::span<const std::vector<double>> points, bool gradient) {
+    candidates_.clear();
+    parameters_.clear();
+    lower_.clear();
+    upper_.clear();
+    for (const std::vector<double>& u : points) {
+        candidates_.push_back(space_.candidate(u));
+        const Candidate& at = candidates_.back();
+        parameters_.insert(parameters_.end(), at.parameters.begin(), at.parameters.end());
+        lower_.insert(lower_.end(), at.lower.begin(), at.lower.end());
+        upper_.insert(upper_.end(), at.upper.begin(), at.upper.end());
+    }
+    if (space_.unknowns() == Unknowns::all) evaluator_.loss(parameters_, lower_, logarithmic_, batch_);
+    else evaluator_.project(parameters_, lower_, upper_, gradient, batch_);
+    evaluations_ += points.size();
+}
+
+double SpaceLoss::operator()(std::span<const double> u, std::span<double> gradient) {
+    const std::vector<double> point(u.begin(), u.end());
+    evaluate({&point, 1}, !gradient.empty());
     if (!gradient.empty()) {
-        space_.gradient(u, at, batch_.coefficients, batch_.by_parameter, batch_.by_coefficient, gradient);
+        space_.gradient(u, candidates_[0], batch_.coefficients, batch_.by_parameter, batch_.by_coefficient, gradient);
         for (double& g : gradient) g /= scale2_;
+        // Near underflow the slope of a logarithm overflows; at underflow there is none.
+        for (double& slope : gradient)
+            if (logarithmic_ && !std::isfinite(slope)) slope = 0;
     }
     return batch_.loss[0] / scale2_;
 }
 
-std::vector<double> ProjectedLoss::screen(const std::vector<std::vector<double>>& points,
-                                          const SearchControl& control) {
+std::vector<Look> SpaceLoss::looks(std::span<const std::vector<double>> points) {
+    using Eigen::Index;
+    using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+    evaluate(points, true);
+    const kernels::Model& model = space_.model();
+    const std::size_t p = model.parameters.size();
+    const std::size_t t = model.terms.size();
+    const std::size_t d = space_.dimension();
+    const auto unknowns = static_cast<Index>(t + model.nonlinear().size());
+    const auto normals = static_cast<std::size_t>(unknowns * (unknowns + 1) / 2);
+    std::vector<Look> result(points.size());
+    Matrix normal(unknowns, unknowns);
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        Look& look = result[i];
+        const Candidate& at = candidates_[i];
+        const std::span<const double> c(batch_.coefficients.data() + i * t, t);
+        look.value = batch_.loss[i] / scale2_;
+        look.gradient.resize(d);
+        space_.gradient(points[i], at, c, {batch_.by_parameter.data() + i * p, p},
+                        {batch_.by_coefficient.data() + i * t, t}, look.gradient);
+        for (double& g : look.gradient) g /= scale2_;
+
+        const double* entry = batch_.normal.data() + i * normals;
+        for (Index row = 0; row < unknowns; ++row)
+            for (Index column = row; column < unknowns; ++column) normal(row, column) = normal(column, row) = *entry++;
+        // What free coefficients take up of a step is taken out of its curvature.
+        for (std::size_t k = 0; k < t; ++k) {
+            const auto row = static_cast<Index>(k);
+            const double pivot = normal(row, row);
+            if (!SearchSpace::is_free(c[k], at.lower[k], at.upper[k]) || !(pivot > 0)) continue;
+            const Eigen::VectorXd column = normal.col(row);
+            normal -= column * column.transpose() / pivot;
+            normal.row(row).setZero();
+            normal.col(row).setZero();
+        }
+        const std::vector<double> jacobian = space_.jacobian(points[i], at, c);
+        const Eigen::Map<const Matrix> by_u(jacobian.data(), unknowns, static_cast<Index>(d));
+        look.curvature.resize(d * d);
+        Eigen::Map<Matrix>(look.curvature.data(), static_cast<Index>(d), static_cast<Index>(d)) =
+            2 / scale2_ * by_u.transpose() * normal * by_u;
+    }
+    return result;
+}
+
+std::vector<double> SpaceLoss::screen(const std::vector<std::vector<double>>& points, const SearchControl& control) {
     constexpr std::size_t kLaunch = 1'000'000;  // candidates x samples: under a second on one core
     const std::size_t most = std::max<std::size_t>(1, kLaunch / std::max<std::size_t>(1, evaluator_.samples()));
     std::vector<double> values(points.size(), std::numeric_limits<double>::max());
     for (std::size_t first = 0; first < points.size() && !control.over(); first += most) {
         const std::size_t count = std::min(most, points.size() - first);
-        std::vector<double> parameters, lower, upper;
-        for (std::size_t i = first; i < first + count; ++i) {
-            const Candidate at = space_.candidate(points[i]);
-            parameters.insert(parameters.end(), at.parameters.begin(), at.parameters.end());
-            lower.insert(lower.end(), at.lower.begin(), at.lower.end());
-            upper.insert(upper.end(), at.upper.begin(), at.upper.end());
-        }
-        evaluator_.project(parameters, lower, upper, false, batch_);
-        evaluations_ += count;
+        evaluate(std::span(points).subspan(first, count), false);
         for (std::size_t i = 0; i < count; ++i)
             if (std::isfinite(batch_.loss[i])) values[first + i] = batch_.loss[i] / scale2_;
     }
     return values;
 }
 
-void ProjectedLoss::complete(Minimum& minimum) {
+void SpaceLoss::complete(Minimum& minimum) {
     minimum.loss2 = (*this)(minimum.u, {}) * scale2_;
     minimum.coefficients = batch_.coefficients;
 }
@@ -218,63 +317,68 @@ Minimum descend(const Objective& objective, std::vector<double> u, int max_evalu
     return run(local_optimizer(dimension, max_evaluations, tolerance), objective, std::move(u), control);
 }
 
-Descents descend_all(const Objective& objective, const std::vector<std::vector<double>>& starts, int max_evaluations,
-                     const SearchControl& control) {
-    const auto cut_short = [](const Minimum& end) {
-        return end.stop == StopReason::time_limit || end.stop == StopReason::cancelled;
-    };
-    Descents result;
-    for (const std::vector<double>& start : starts) {
-        result.ends.push_back(descend(objective, start, max_evaluations, 1e-9, control));
-        if (cut_short(result.ends.back())) break;
-    }
-    std::stable_sort(result.ends.begin(), result.ends.end(),
-                     [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
-    result.best = result.ends.front();
-    for (int round = 0; round < 5; ++round) {
-        const Minimum next = descend(objective, result.best.u, max_evaluations, 1e-13, control);
-        const double gain = result.best.loss2 - next.loss2;
-        if (gain >= 0) result.best = next;
-        result.best.stop = next.stop;
-        if (cut_short(next) || gain <= 1e-9 * result.best.loss2) break;
-    }
-    result.agreed =
-        static_cast<std::size_t>(std::count_if(result.ends.begin(), result.ends.end(), [&](const Minimum& m) {
-            return std::sqrt(m.loss2) <= 1.001 * std::sqrt(result.best.loss2) + 1e-12;
-        }));
-    return result;
-}
-
-SearchResult search_projected(kernels::Evaluator& evaluator, const SearchSpace& space, const SearchBudget& budget,
-                              const SearchControl& control, double scale2,
-                              const std::vector<std::vector<double>>& seeds) {
+SearchResult search_space(SpaceLoss& quick, SpaceLoss& exact, const SearchBudget& budget, const SearchControl& control,
+                          const std::vector<std::vector<double>>& seeds) {
+    const SearchSpace& space = quick.space();
     const std::size_t d = space.dimension();
-    ProjectedLoss problem(evaluator, space, scale2);
     SearchResult result;
     if (d == 0) {
-        problem.complete(result.best);
+        exact.complete(result.best);
         result.record = {1, 1, 1, StopReason::converged, 0};
         result.minima.push_back(result.best);
         return result;
     }
 
-    const Objective objective = [&](std::span<const double> u, std::span<double> g) { return problem(u, g); };
+    std::vector<Minimum> ends;
+    const auto descend_from = [&](const std::vector<std::vector<double>>& starts) {
+        const Landscape landscape = [&](auto points) { return quick.looks(points); };
+        for (Minimum& end : descend_together(landscape, starts, kQuickGoal, control)) ends.push_back(std::move(end));
+        std::stable_sort(ends.begin(), ends.end(),
+                         [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
+    };
     const auto points = screening_points(space, budget.screened, control.seed);
-    std::vector<std::vector<double>> starts;
-    if (!seeds.empty()) starts = best_distinct(seeds, problem.screen(seeds, control), kSeedStarts);
-    if (budget.global_evaluations > 0) starts.push_back(explore(objective, d, budget.global_evaluations, control).u);
-    for (auto& start : best_distinct(points, problem.screen(points, control), budget.starts))
-        starts.push_back(std::move(start));
-
-    Descents descents = descend_all(objective, starts, budget.local_evaluations, control);
-    for (const Minimum& end : descents.ends) {
-        const bool known = std::any_of(result.minima.begin(), result.minima.end(),
-                                       [&](const Minimum& m) { return distance(m.u, end.u) < 1e-3; });
-        if (!known) result.minima.push_back(end);
+    std::vector<std::vector<double>> starts = best_distinct(points, quick.screen(points, control), budget.starts);
+    starts.insert(starts.end(), seeds.begin(), seeds.end());
+    if (budget.global_evaluations > 0) {
+        const Objective objective = [&](std::span<const double> u, std::span<double> g) { return quick(u, g); };
+        starts.push_back(explore(objective, d, budget.global_evaluations, control).u);
     }
-    result.best = std::move(descents.best);
-    problem.complete(result.best);
-    result.record = {descents.ends.size(), descents.agreed, problem.evaluations(), result.best.stop, 0};
+    descend_from(starts);
+
+    const auto blocks = space.blocks();
+    std::size_t bases = blocks.size() > 1 ? budget.bases : 0;
+    for (int round = 0; round < kExchangeRounds && bases > 0 && !control.over(); ++round) {
+        const double before = ends.front().loss2;
+        std::vector<std::vector<double>> next;
+        std::uint64_t seed = control.seed + static_cast<std::uint64_t>(round);
+        std::vector<Minimum> about = distinct_ends(ends, 0.05);
+        about.resize(std::min(about.size(), bases));
+        for (const Minimum& base : about)
+            for (const auto& block : blocks) {
+                const auto fresh = exchanged_points(space, base.u, block, budget.exchanged, ++seed);
+                for (auto& start : best_distinct(fresh, quick.screen(fresh, control), kExchangeStarts))
+                    next.push_back(std::move(start));
+            }
+        descend_from(next);
+        if (!(ends.front().loss2 < before * (1 - 5e-4))) break;
+        bases = 1;
+    }
+
+    result.minima = distinct_ends(ends, 1e-2);
+    std::vector<std::vector<double>> polished;
+    for (const Minimum& end : result.minima)
+        if (polished.size() < kPolished && end.loss2 <= kPolishWithin * ends.front().loss2) polished.push_back(end.u);
+    if (polished.empty()) polished.push_back(ends.front().u);
+    const Landscape landscape = [&](auto at) { return exact.looks(at); };
+    const std::vector<Minimum> final_ends = descend_together(landscape, polished, kExactGoal, control);
+    result.best = *std::min_element(final_ends.begin(), final_ends.end(),
+                                    [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
+    const double agreed = std::sqrt(result.best.loss2) * 1.001 + 1e-6;
+    result.record = {ends.size(),
+                     static_cast<std::size_t>(std::count_if(
+                         ends.begin(), ends.end(), [&](const Minimum& m) { return std::sqrt(m.loss2) <= agreed; })),
+                     quick.evaluations() + (&quick == &exact ? 0 : exact.evaluations()), result.best.stop, 0};
+    exact.complete(result.best);
     return result;
 }
 

@@ -1,4 +1,4 @@
-/// NLopt, global then local, over a search space.
+/// The search for the best point of a space: global, then local, with NLopt where no curvature is known.
 #pragma once
 
 #include <chrono>
@@ -24,9 +24,10 @@ public:
 /// How much a search may spend.
 struct SearchBudget {
     std::size_t screened = 0;    ///< candidates of a low-discrepancy set, evaluated in one batch
-    std::size_t starts = 0;      ///< the best distinct ones from which SLSQP descends
+    std::size_t starts = 0;      ///< the best distinct ones, from which descents start
+    std::size_t bases = 0;       ///< the best distinct ends about which blocks of coordinates are exchanged
+    std::size_t exchanged = 0;   ///< candidates for each block
     int global_evaluations = 0;  ///< of NLopt's global method
-    int local_evaluations = 0;   ///< of each local search
 };
 
 enum class Effort { draft, standard, thorough };
@@ -54,18 +55,28 @@ struct Minimum {
 struct SearchResult {
     Minimum best;
     SearchRecord record;          ///< without the time
-    std::vector<Minimum> minima;  ///< distinct ends of local searches, best first; not completed
+    std::vector<Minimum> minima;  ///< distinct ends of descents, best first; not completed
 };
 
-/// The projected loss (Evaluator::project) over a space, divided by scale2 > 0, as an objective. References must
-/// outlive it. All members throw what the evaluator throws.
-class ProjectedLoss {
+/// An objective at a point: its value, its gradient, and its curvature by Gauss and Newton's approximation.
+struct Look {
+    double value = 0;
+    std::vector<double> gradient;   ///< d
+    std::vector<double> curvature;  ///< d x d, symmetric, positive semidefinite
+};
+
+/// The loss of a model over a space, divided by scale2 > 0, as an objective. References must outlive it. All members
+/// throw what the evaluator throws.
+class SpaceLoss {
 public:
-    ProjectedLoss(kernels::Evaluator& evaluator, const SearchSpace& space, double scale2)
-        : evaluator_(evaluator), space_(space), scale2_(scale2) {}
+    /// `logarithmic` is read with Unknowns::all only, where the loss is Evaluator::loss; else it is Evaluator::project.
+    SpaceLoss(kernels::Evaluator& evaluator, const SearchSpace& space, double scale2, bool logarithmic = false)
+        : evaluator_(evaluator), space_(space), scale2_(scale2), logarithmic_(logarithmic) {}
 
     /// The value at u, and its gradient unless that is empty.
     double operator()(std::span<const double> u, std::span<double> gradient);
+    /// Looks at many points in one launch.
+    std::vector<Look> looks(std::span<const std::vector<double>> points);
     /// Values at many points, in launches small enough to look at the clock between them; points left when time runs
     /// out have the largest value.
     std::vector<double> screen(const std::vector<std::vector<double>>& points, const SearchControl& control);
@@ -73,21 +84,32 @@ public:
     void complete(Minimum& minimum);
 
     [[nodiscard]] std::size_t evaluations() const { return evaluations_; }
+    [[nodiscard]] const SearchSpace& space() const { return space_; }
 
 private:
+    /// Evaluates points into batch_ and candidates_.
+    void evaluate(std::span<const std::vector<double>> points, bool gradient);
+
     kernels::Evaluator& evaluator_;
     const SearchSpace& space_;
     double scale2_;
+    bool logarithmic_;
+    std::vector<Candidate> candidates_;
+    std::vector<double> parameters_, lower_, upper_;
     kernels::Batch batch_;
     std::size_t evaluations_ = 0;
 };
 
-/// Minimises the projected loss (Evaluator::project) over the space. `seeds` are screened apart, and the best of them
-/// descend always: the result is no worse than any seed. scale2 > 0 makes the objective of order one: loss2/scale2.
-/// Throws what the evaluator throws.
-SearchResult search_projected(kernels::Evaluator& evaluator, const SearchSpace& space, const SearchBudget& budget,
-                              const SearchControl& control, double scale2,
-                              const std::vector<std::vector<double>>& seeds);
+/// Points to screen: of a low-discrepancy set, three of four within the typical range, the others anywhere.
+std::vector<std::vector<double>> screening_points(const SearchSpace& space, std::size_t count, std::uint64_t seed);
+/// The best points, by their values, that are not close to a better one.
+std::vector<std::vector<double>> best_distinct(const std::vector<std::vector<double>>& points,
+                                               const std::vector<double>& values, std::size_t count);
+
+/// Minimises over the space: `quick` for the search, `exact` for its end (they may be one); both are losses of one
+/// space. `seeds` descend always: the result is no worse than any seed. Throws what they throw.
+SearchResult search_space(SpaceLoss& quick, SpaceLoss& exact, const SearchBudget& budget, const SearchControl& control,
+                          const std::vector<std::vector<double>>& seeds);
 
 /// A smooth function on the unit cube: value, and its gradient unless that is empty.
 using Objective = std::function<double(std::span<const double> u, std::span<double> gradient)>;
@@ -95,14 +117,5 @@ using Objective = std::function<double(std::span<const double> u, std::span<doub
 /// One descent with NLopt's SLSQP from u; returns the best point met. Throws what the objective throws.
 Minimum descend(const Objective& objective, std::vector<double> u, int max_evaluations, double tolerance,
                 const SearchControl& control);
-
-/// Descents from several starts, at least one, and from the best end again until nothing is gained.
-struct Descents {
-    Minimum best;               ///< its stop is the last descent's
-    std::vector<Minimum> ends;  ///< of each start until time ran out, best first
-    std::size_t agreed = 0;     ///< ends within 1e-3 of the best loss
-};
-Descents descend_all(const Objective& objective, const std::vector<std::vector<double>>& starts, int max_evaluations,
-                     const SearchControl& control);
 
 }  // namespace brdfit::optim

@@ -2,7 +2,9 @@
 
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <numbers>
+#include <numeric>
 #include <optional>
 
 namespace brdfit::optim {
@@ -337,6 +339,7 @@ SearchSpace::SearchSpace(const Model& model, std::vector<Interval> bounds, Unkno
     const auto take = [&](std::size_t a, std::size_t b, auto axis) {
         taken[a] = taken[b] = true;
         axes_.push_back(std::move(axis));
+        lobes_.push_back(model.parameters[a].repeat);
     };
     for (const kernels::Chart& chart : model.charts) {
         const auto [n, k] = chart.parameters;
@@ -344,21 +347,25 @@ SearchSpace::SearchSpace(const Model& model, std::vector<Interval> bounds, Unkno
             take(n, k, std::make_unique<ComplexIndexAxis>(n, k, bounds_[n], bounds_[k]));
     }
     std::vector<std::unique_ptr<Axis>> directions;
+    std::vector<std::optional<std::size_t>> their_lobes;
     for (std::size_t t = 0; t < model.terms.size(); ++t) {
         const auto& homogeneous = model.terms[t].homogeneous;
         if (!homogeneous) continue;
         const auto [x, y] = homogeneous->plane;
         if (taken[x] || taken[y] || !DirectionAxis::covers(bounds_[x], bounds_[y])) continue;
         taken[x] = taken[y] = true;
+        their_lobes.push_back(model.parameters[x].repeat);
         directions.push_back(std::make_unique<DirectionAxis>(t, *homogeneous, bounds_[x], bounds_[y],
                                                              all ? std::optional(level) : std::nullopt));
     }
     for (std::size_t i = 0; i < taken.size(); ++i) {
         if (taken[i]) continue;
+        lobes_.push_back(model.parameters[i].repeat);
         if (model.is_linear(i)) axes_.push_back(std::make_unique<LevelAxis>(i, bounds_[i], level));
         else axes_.push_back(std::make_unique<DirectAxis>(model.parameters[i], i, bounds_[i]));
     }
     for (auto& axis : directions) axes_.push_back(std::move(axis));  // they read the degrees set before
+    lobes_.insert(lobes_.end(), their_lobes.begin(), their_lobes.end());
     for (const auto& axis : axes_) dimension_ += axis->dimension();
     if (scaled()) ++dimension_;
 }
@@ -471,6 +478,30 @@ std::vector<double> SearchSpace::coordinates(const std::vector<double>& paramete
     }
     if (scaled()) u[first] = std::clamp(std::log(scale / scale_.min) / std::log(scale_.max / scale_.min), 0.0, 1.0);
     return u;
+}
+
+std::vector<std::vector<std::size_t>> SearchSpace::blocks() const {
+    std::map<std::size_t, std::vector<std::size_t>> lobes;
+    std::vector<std::vector<std::size_t>> result;
+    std::vector<std::size_t> others;
+    std::size_t first = 0;
+    for (std::size_t i = 0; i < axes_.size(); ++i) {
+        std::vector<std::size_t> own(axes_[i]->dimension());
+        std::iota(own.begin(), own.end(), first);
+        first += own.size();
+        if (lobes_[i]) {
+            std::vector<std::size_t>& lobe = lobes[*lobes_[i]];
+            lobe.insert(lobe.end(), own.begin(), own.end());
+        } else if (own.size() > 1) {
+            result.push_back(std::move(own));
+        } else {
+            others.insert(others.end(), own.begin(), own.end());
+        }
+    }
+    if (scaled()) others.push_back(first);
+    for (auto& [lobe, coordinates] : lobes) result.push_back(std::move(coordinates));
+    if (!others.empty()) result.push_back(std::move(others));
+    return result;
 }
 
 std::vector<Interval> SearchSpace::typical() const {

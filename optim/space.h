@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <memory>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -61,6 +62,7 @@ public:
 
     [[nodiscard]] const kernels::Model& model() const { return model_; }
     [[nodiscard]] std::size_t dimension() const { return dimension_; }
+    [[nodiscard]] Unknowns unknowns() const { return unknowns_; }
     [[nodiscard]] Candidate candidate(std::span<const double> u) const;
     /// d loss/d u from the loss's derivatives at the candidate of u and its coefficients c: by_parameter (P),
     /// by_coefficient (T; what a coefficient held at a bound would gain).
@@ -82,6 +84,8 @@ public:
     [[nodiscard]] std::vector<double> coordinates(const std::vector<double>& parameters, double scale) const;
     /// Where starts should lie: [min, max] within [0, 1], one for each coordinate.
     [[nodiscard]] std::vector<Interval> typical() const;
+    /// Coordinates that belong together: those of each lobe, of each chart, and the others. They partition the cube's.
+    [[nodiscard]] std::vector<std::vector<std::size_t>> blocks() const;
     [[nodiscard]] const std::vector<Interval>& bounds() const { return bounds_; }
 
 private:
@@ -94,6 +98,7 @@ private:
     Unknowns unknowns_;
     ScaleRange scale_;
     std::vector<std::unique_ptr<Axis>> axes_;
+    std::vector<std::optional<std::size_t>> lobes_;  ///< of each axis
     std::size_t dimension_ = 0;
 };
 

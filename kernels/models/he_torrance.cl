@@ -26,8 +26,9 @@
 /* What rounding would do to g, a and h shows in the slopes by sigma and tau, which are differences of large terms. */
 inline Wide quotient_of(real x, real y) {
     Wide t;
-    t.high = x / y;
-    t.low = fma(-t.high, y, x) / y;
+    const real inverse = 1.0 / y;
+    t.high = x * inverse;
+    t.low = fma(-t.high, y, x) * inverse;
     return t;
 }
 
@@ -47,20 +48,28 @@ typedef struct {
 
 inline Shadow shadow(real tan_theta, Wide slope) {
     Shadow t;
+    t.S = 1.0;
+    t.S_slope = 0.0;
+    t.K = 0.0;
+    t.K_slope = 0.0;
     /* Beyond h = 30 the surface is flat to this direction in every digit. What rounding takes off h and h^2 goes back
      * into E = exp(-h^2) and erfc(h), which would magnify it. */
     const real twice = 2.0 * fmax(tan_theta, (real)TINY);
-    const real quotient = slope.high / twice;
+    const real inverse = 1.0 / twice;
+    const real quotient = slope.high * inverse;
+    const mask steep = quotient < sqrt((real)LOG_EPSILON) + 0.5;
+    if (!any_lane(steep)) return t;
     const real h = fmin(quotient, (real)30.0);
-    const real h_low = sel(quotient < 30.0, (fma(-h, twice, slope.high) + slope.low) / twice, 0.0);
+    const real h_low = sel(steep, (fma(-h, twice, slope.high) + slope.low) * inverse, 0.0);
     const Wide h2 = product_of(h, h);
-    const real E_high = exp(-h2.high);
+    const real E_high = exp_plain(-h2.high);
     const real E = E_high - E_high * (h2.low + 2.0 * h * h_low);
     const real erfc_h = E_high * (erfcx(h) * (1.0 - h2.low) - 2.0 / sqrt((real)PI) * h_low);
     const real erfc_minus_h = 2.0 - erfc_h;
     const real x = sqrt((real)PI) * fma(h, erfc_minus_h, h_low * erfc_minus_h);
-    t.S = x / (x + E);
-    t.S_slope = E / (x + E) + 2.0 * h2.high * E / x;
+    const real inverse_sum = 1.0 / (x + E);
+    t.S = x * inverse_sum;
+    t.S_slope = E * (inverse_sum + 2.0 / sqrt((real)PI) * h / erfc_minus_h);
     t.K = tan_theta * erfc_h;
     t.K_slope = -2.0 / sqrt((real)PI) * tan_theta * h * E;
     return t;
@@ -78,39 +87,65 @@ inline Fresnel fresnel(real n, real k, real cd2, real sd2) {
     const complex_real N2 = complex_of((n - k) * (n + k), 2.0 * n * k);
     const complex_real N2_1 = complex_of((n - 1.0) * (n + 1.0) - sqr(k), N2.im); /* N^2 - 1, exact near 1 */
 
-    /* q = sqrt(N^2 - sin^2 theta_d) = a + ib: the larger of a^2, b^2 by its formula, the other by a b = n k. */
+    /* q = sqrt(N^2 - sin^2 theta_d) = a + ib: the larger of a, b by its formula, the other by a b = n k. */
     const real A = sel(sd2 < 0.5, fma(n, n, -sd2) - sqr(k), N2_1.re + cd2); /* the form that cancels less */
     const mask refracts = A >= 0.0;
     const real longer = fmax(fabs(A), N2.im);
     const real ratio = fmin(fabs(A), N2.im) / fmax(longer, (real)TINY);
     const real large = 0.5 * (longer * sqrt(1.0 + sqr(ratio)) + fabs(A)); /* 0 at the onset of total reflection */
-    const real small = sqr(n * k) / fmax(large, (real)TINY);
-    const real a = sqrt(sel(refracts, large, small));
-    const real b2 = sel(refracts, small, large);
-    const complex_real q = complex_of(a, sqrt(b2));
+    const real root = sqrt(large);
+    const real other = n * k / fmax(root, (real)TINY);
+    const complex_real q = complex_of(sel(refracts, root, other), sel(refracts, other, root));
+    const real b2 = sel(refracts, sqr(other), large);
 
-    const real difference = sel(refracts, (N2_1.re + b2) / (a + c), a - c); /* a - c, exact near N = 1 */
-    const real s_norm = sqr(a + c) + b2;
-    const real Rs = (sqr(difference) + b2) / s_norm;
-    const real p_over_s = (sqr(a * c - sd2) + b2 * cd2) / (sqr(a * c + sd2) + b2 * cd2);
+    const real difference = sel(refracts, (N2_1.re + b2) / (q.re + c), q.re - c); /* a - c, exact near N = 1 */
+    const real s_norm = sqr(q.re + c) + b2;                                       /* |q + c|^2 */
+    const real qc_norm = sqr(q.re * c + sd2) + b2 * cd2;                          /* |q c + s^2|^2 = |N^2 c + q|^2/s_norm */
+    const real inverse_s = 1.0 / s_norm;
+    const real inverse_qc = 1.0 / qc_norm;
+    const real inverse_both = inverse_s * inverse_qc;
+    const real Rs = (sqr(difference) + b2) * inverse_s;
+    const real p_over_s = (sqr(q.re * c - sd2) + b2 * cd2) * inverse_qc;
     t.F = 0.5 * Rs * (1.0 + p_over_s);
 
     /* dF/dN = conj(r_s) r_s' + conj(r_p) r_p'; as c^2 - q^2 = 1 - N^2 and N^4 c^2 - q^2 = (N^2 - 1)(N^2 c^2 - s^2) it is
      * 2c N conj(q)/|q|^2 [conj(N^2 - 1)/|q + c|^4 + (N^2 - 2 s^2) conj((N^2 - 1)(N^2 c^2 - s^2))/|N^2 c + q|^4],
      * without a difference of nearly equal terms. dF/dn is its real part, dF/dk minus its imaginary part. */
-    const real q_norm = fmax(large + small, (real)TINY);
-    const real p_norm = sqr(N2.re * c + q.re) + sqr(N2.im * c + q.im);
-    const complex_real s_part = complex_scaled(complex_scaled(complex_conjugate(N2_1), 1.0 / s_norm), 1.0 / s_norm);
+    const real q_norm = fmax(sqr(other) + large, (real)TINY);
+    const complex_real s_part = complex_scaled(complex_scaled(complex_conjugate(N2_1), inverse_s), inverse_s);
     const real brewster = sel(sd2 < 0.5, A - N2.re * sd2, N2.re * cd2 - sd2); /* Re(N^2 c^2 - s^2) */
     const complex_real p_part = complex_times(
-        complex_times(complex_scaled(complex_conjugate(N2_1), 1.0 / p_norm), complex_of(brewster, -N2.im * cd2)),
-        complex_scaled(complex_of(N2.re - 2.0 * sd2, N2.im), 1.0 / p_norm));
+        complex_times(complex_scaled(complex_conjugate(N2_1), inverse_both), complex_of(brewster, -N2.im * cd2)),
+        complex_scaled(complex_of(N2.re - 2.0 * sd2, N2.im), inverse_both));
     const complex_real N_q = complex_scaled(complex_times(N, complex_conjugate(q)), 2.0 * c / q_norm);
     const complex_real slope = complex_times(N_q, complex_of(s_part.re + p_part.re, s_part.im + p_part.im));
     t.F_n = slope.re;
     t.F_k = -slope.im;
     return t;
 }
+
+/* Step of the trapezoidal rule in widths of the bell, its least share of a number, and Stirling's error: ln m! less its
+ * main terms is STIRLING/m with z = 1/m^2; STIRLING_SLOPE/m is -m times the derivative. */
+#if SEARCH_ACCURACY
+#define STRIDE 1.2
+#define STIRLING (1.0 / 12.0)
+#define STIRLING_SLOPE (1.0 / 12.0)
+#elif REAL_IS_DOUBLE
+#define STRIDE 0.66
+#define STIRLING \
+    (1.0 / 12.0 - \
+     z * (1.0 / 360.0 - z * (1.0 / 1260.0 - z * (1.0 / 1680.0 - z * (1.0 / 1188.0 - z * (691.0 / 360360.0))))))
+#define STIRLING_SLOPE (1.0 / 12.0 - z * (1.0 / 120.0 - z * (1.0 / 252.0 - z * (1.0 / 240.0 - z * (1.0 / 132.0)))))
+#else
+#define STRIDE 0.97
+#define STIRLING (1.0 / 12.0 - z * (1.0 / 360.0 - z * (1.0 / 1260.0)))
+#define STIRLING_SLOPE (1.0 / 12.0 - z * (1.0 / 120.0))
+#endif
+#if REAL_IS_DOUBLE
+#define LEAST_STRIDE 1e-15
+#else
+#define LEAST_STRIDE 1e-6f
+#endif
 
 /* Sums over m >= 1 of the Poisson weights t_m = e^-g g^m/m! e^(-a/m), each to be multiplied by height twice, so that
  * neither leaves the range of numbers before the product does; the height is 1 unless the sums are tiny:
@@ -126,97 +161,100 @@ inline Series poisson_series(real g, real a) {
     t.Q = 0.0;
     t.height = 0.0;
 
-    /* Mode: ln(m/g) = a/m^2. The function is concave and rising: Newton's steps converge from the left. */
-    const real m_upper = 0.5 * (g + sqrt(sqr(g) + 4.0 * a));
-    const real ratio = m_upper / g;
-    real mode = sel(ratio > 2.718281828, fmax(g, sqrt(a / log(fmax(ratio, (real)2.7)))), m_upper);
-    for (int step = 0; step < 3; ++step) {
-        const real a_m2 = a / mode / mode;
-        mode = fmax(mode - mode * (log(mode / g) - a_m2) / (1.0 + 2.0 * a_m2), mode / 3.0);
-    }
-    const real width = sqrt(mode / (1.0 + 2.0 * (a / mode / mode)));
-    mode = fmax(mode, (real)1.0);
-    const real peak = poisson_deviance(mode, g) + a / mode;
+    /* Mode: m = g e^(W/2), W e^W = 2 a/g^2, as ln(m/g) = a/m^2. */
+    const real inverse_g = 1.0 / g;
+    const real W = lambert_w(fmin(2.0 * a * inverse_g * inverse_g, (real)HUGE), MODE_STEPS);
+    const real growth = exp_plain(0.5 * W);
+    const real mode = fmax(g * growth, (real)1.0);
+    const real peak = g * sel(W < 0.1, W * (0.5 + W * (0.375 + W * (5.0 / 48.0))), growth * (W - 1.0) + 1.0);
     const mask seen = peak < LOG_UNSEEN;
     if (!any_lane(seen)) return t;
     const real lift = sel(peak > LOG_SHIFT, peak, 0.0); /* what the sums are scaled by */
+    const int lifted = any_lane(lift > 0.0);
+    t.height = 1.0;
 
-    /* The window that holds all but eps of the sum, log_epsilon = ln(1/eps); its upper end is a Bernstein bound. Beyond
-     * the mode terms fall faster and faster, so a sum may end once a term is negligible. */
+    /* A bell's sum is its integral where it is wide and nothing is left of it at m = 1, nor of the singularity at m = 0:
+     * their exponents are g - ln g - 1 + a and g + 2 sqrt(pi a), and ln g <= g/L + ln L - 1. Stirling's series needs a
+     * mode that is not small. Beyond the mode terms fall faster and faster, so a sum may end once a term is negligible. */
     const real L = LOG_EPSILON;
-    const real negligible = 0.03 * exp(-L);
-    const real low = mode - sqrt(2.0 * L * mode) - 1.0;
-    const real high = mode + L / 3.0 + sqrt(sqr(L) / 9.0 + 2.0 * L * mode);
-    const mask direct = seen & (low < 2.0);
-    const mask bell = seen & (low >= 2.0);
+    const real negligible = NEGLIGIBLE;
+    const real start = g - g / L - LEFT_MARGIN + fmin(a, 2.0 * sqrt((real)PI * a));
+    const mask smooth = (mode > 0.8 * L) & (mode > (0.075 * L) * (1.0 + W)) & (start > peak + L);
+    mask direct = seen & !smooth;
+    /* Lanes of both kinds cost both loops: a few more terms of the sum are cheaper than the other loop. */
+    if (any_lane(direct) && !any_lane(seen & smooth & (mode > 1.6 * L))) direct = seen;
+    const mask bell = seen & !direct;
 
-    /* A window from m = 1: the weights e^-g g^m/m! by their recurrence, with a low part that keeps its rounding from
-     * adding up; Q, where sqrt(g) digits cancel, would show it. The same m in every lane, four between looks at the end.
-     * Weight and exponential each take a share of the height. */
+    /* A sum from m = 1: the weights e^-g g^m/m! by their recurrence. The same m in every lane, four between looks at the
+     * end. Weight and exponential each take a share of the height. */
     if (any_lane(direct)) {
         const real weight_shift = fmin(lift, (real)LOG_SHIFT);
         const real shift = fmin(lift - weight_shift, (real)LOG_SHIFT);
-        real weight = sel(direct, g * exp(-g) * exp(weight_shift), 0.0);
-        real weight_low = 0.0;
+        real weight = sel(direct, g * exp_plain(-g), 0.0);
+        if (lifted) {
+            weight *= exp_plain(weight_shift);
+            t.height = exp_plain(-0.5 * (weight_shift + shift));
+        }
         scalar m = 1.0;
         mask active = direct;
         while (any_lane(active)) {
-            real M1 = 0.0, M2 = 0.0, Q = 0.0, term = 0.0;
-            for (int i = 0; i < 4; ++i) {
+            real term = 0.0;
+            UNROLLED for (int i = 0; i < 4; ++i) {
                 const scalar inverse = (scalar)1.0 / m;
-                term = (weight + weight_low) * exp(shift - a * inverse) * inverse;
-                M1 += term;
-                M2 += term * inverse;
-                Q += term * (m - g);
+                term = weight * exp_plain(fma(a, (real)-inverse, shift)) * inverse;
+                t.M1 += term;
+                t.M2 += term * inverse;
+                t.Q += term * (m - g);
                 m += (scalar)1.0;
-                const real step = g / m;
-                const real step_low = fma(-step, (real)m, g) / m;
-                const real next = weight * step;
-                weight_low = fma(weight, step, -next) + (weight * step_low + weight_low * step);
-                weight = next;
+                weight *= g * ((scalar)1.0 / m);
             }
-            t.M1 += M1;
-            t.M2 += M2;
-            t.Q += Q;
-            active = direct & (m <= high) & ((m <= mode) | (term > negligible * t.M1));
+            active = direct & ((m <= mode) | (term > negligible * t.M1));
         }
-        t.height = exp(-0.5 * (weight_shift + shift));
     }
 
-    /* A smooth bell: every stride-th term times the stride (Poisson summation), each in its saddle-point form. For Q,
-     * sum t_m (m - g)/m cancels; as the integral of dt/dm vanishes over the bell, the logarithmic derivative of t_m
-     * may be taken off and leaves terms of the order of the sum. Where the bell is narrow (g << m) nothing cancels. */
+    /* A smooth bell by the trapezoidal rule in u = sqrt(m), where it is as wide for any g: 30 terms (14, 10), each in its
+     * saddle-point form. For Q, sum t_m (m - g)/m cancels; as the integral of dt/dm vanishes over the bell, the
+     * logarithmic derivative of t_m may be taken off and leaves terms of the order of the sum. */
     if (any_lane(bell)) {
         Series b;
         b.M1 = 0.0;
         b.M2 = 0.0;
         b.Q = 0.0;
-        /* Steps on a grid where m is exact, should the numbers near high be wider apart than 1. */
-        const real grid = 2.0 * high;
-        const real stride = fmax((floor(width * (4.0 / sqrt(L))) + grid) - grid, (real)1.0);
-        const mask smooth = width > 2.0;
-        real m = sel(bell, fmax((floor(low) + grid) - grid, (real)1.0), 1.0);
+        /* Steps on a grid where u is exact: a sum of what rounding shifts would show the slope of the bell. */
+        const real root = sqrt(mode);
+        const real u_g = sqrt(g);
+        const int far = any_lane(bell & (W > 1.0));
+        const real width = 0.5 / sqrt(1.0 + W);
+        const real grid = 4.0 * root;
+        const real stride = fmax((STRIDE * width + grid) - grid, LEAST_STRIDE * root);
+        const real reach = sqrt(8.0 * L) * width;
+        const real left = mode - mode * (reach / (root + reach / 6.0)); /* a bound on where the bell begins */
+        real u = (sqrt(fmax(left, (real)1.0)) + grid) - grid;
         mask active = bell;
         while (any_lane(active)) {
-            const real inverse = 1.0 / m;
-            const real z = sqr(inverse);
-            const real deviance = poisson_deviance(m, g);
-            const real stirling =
-                inverse * (1.0 / 12.0 -
-                           z * (1.0 / 360.0 - z * (1.0 / 1260.0 - z * (1.0 / 1680.0 - z * (1.0 / 1188.0)))));
-            const real stirling_slope = inverse * (1.0 / 12.0 - z * (1.0 / 120.0 - z * (1.0 / 252.0)));
-            const real density = stride * exp(lift - deviance - a * inverse - stirling) * sqrt(inverse / (2.0 * PI));
-            const real term = sel(active, density * inverse, 0.0);
-            b.M1 += term;
-            b.M2 += term * inverse;
-            b.Q += term * sel(smooth, a * inverse - deviance - 0.5 + stirling_slope, m - g);
-            active = active & (m <= high) & ((m <= mode) | (term > negligible * b.M1));
-            m += stride;
+            real term = 0.0;
+            UNROLLED for (int i = 0; i < 2; ++i) {
+                const real m = sqr(u);
+                const real sum = sqr(u + u_g);
+                const real both = 1.0 / (m * sum); /* one division for two quotients */
+                const real inverse = sum * both;
+                const real z = sqr(inverse);
+                const real deviance = poisson_deviance(u, u_g, fma(u, u, -g), m * both, inverse_g, far);
+                const real stirling = STIRLING;
+                const real stirling_slope = STIRLING_SLOPE;
+                term = exp_plain(lift - deviance - a * inverse - inverse * stirling) * inverse;
+                b.M1 += term;
+                b.M2 += term * inverse;
+                b.Q += term * (a * inverse - deviance - 0.5 + inverse * stirling_slope);
+                u += stride;
+            }
+            active = bell & ((u <= root) | (term > negligible * b.M1));
         }
-        t.M1 = sel(bell, b.M1, t.M1);
-        t.M2 = sel(bell, b.M2, t.M2);
-        t.Q = sel(bell, b.Q, t.Q);
-        t.height = sel(bell, exp(-0.5 * lift), t.height);
+        const real factor = stride * (2.0 / sqrt((real)(2.0 * PI)));
+        t.M1 = sel(bell, factor * b.M1, t.M1);
+        t.M2 = sel(bell, factor * b.M2, t.M2);
+        t.Q = sel(bell, factor * b.Q, t.Q);
+        if (lifted) t.height = sel(bell, exp_plain(-0.5 * lift), t.height);
     }
     return t;
 }
@@ -236,11 +274,12 @@ void brdf(Params p, Geometry s, Terms *f) {
     /* Effective roughness: sigma_e^2 = sigma^2/(1 + W), W e^W = (K_i + K_r)^2/(8 pi). */
     const real K = in.K + out.K;
     const real c = fmax(K, (real)TINY) / sqrt((real)(8.0 * PI));
-    const real W = lambert_w(sqr(c), 2.0 * log(c));
-    const real l = -2.0 * W / sqr(1.0 + W) * ((in.K_slope + out.K_slope) / fmax(K, (real)TINY)); /* d ln sigma_e^2/d ln h */
+    const real W = lambert_w(sqr(c), LAMBERT_STEPS);
+    const real inverse_W = 1.0 / (1.0 + W);
+    const real l = -2.0 * W * sqr(inverse_W) * ((in.K_slope + out.K_slope) / fmax(K, (real)TINY)); /* d ln sigma_e^2/d ln h */
 
     const Wide height2 = pi_times_squared(product_of(sigma, s.cs));
-    const real g = fmax(4.0 * (height2.high + height2.low) / (1.0 + W), (real)TINY); /* keeps m/g finite */
+    const real g = fmax(4.0 * (height2.high + height2.low) * inverse_W, (real)TINY); /* keeps m/g finite */
     const Wide T = pi_times_squared(product_of(tau, (real)1.0));
     const real a = fma(T.high, s.w, T.low * s.w);
     const Series M = poisson_series(g, a);

@@ -25,19 +25,20 @@
 
 void brdf(Params p, Geometry s, Terms *f) {
     f->diffuse.value = 1.0 / PI;
-    for (int j = 0; j < LOBES; ++j) {
+    UNROLLED for (int j = 0; j < LOBES; ++j) {
         /* The products may cancel, and the exponent magnifies what is left: b = high + low throughout. */
         Wide tangential = product_of(p.lobe[j].c_xy, s.hxy);
         Wide normal = product_of(p.lobe[j].c_z, s.hz);
         tangential.low += p.lobe[j].c_xy * s.hxy_low;
         normal.low += p.lobe[j].c_z * s.hz_low;
         const Wide b = sum_of(tangential, normal);
-        const mask lit = b.high > 0.0;
+        const mask lit = b.high > TINY;
         const real base = sel(lit, b.high, 1.0);
-        const real l = log(base) + sel(lit, b.low, 0.0) / base;
+        const real inverse = 1.0 / base;
+        const real l = fma(sel(lit, b.low, 0.0), inverse, log_plain(base));
         const Exponential v = exponential(fmin(p.lobe[j].n * l, (real)LOG_HUGE)); /* saturates */
         const real value = sel(lit, v.mantissa, 0.0);
-        const real slope = fmin(p.lobe[j].n / base, (real)HUGE_SLOPE);
+        const real slope = fmin(p.lobe[j].n * inverse, (real)HUGE_SLOPE);
         f->lobe[j].value = value * v.factor;
         f->lobe[j].c_xy = saturated(value * (slope * s.hxy)) * v.factor;
         f->lobe[j].c_z = saturated(value * (slope * s.hz)) * v.factor;

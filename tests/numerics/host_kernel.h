@@ -3,8 +3,10 @@
 /// own.
 #pragma once
 
+#include <bit>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <span>
 #include <string_view>
 #include <vector>
@@ -42,6 +44,11 @@ using std::exp, std::floor, std::fma, std::fmax, std::fmin, std::log, std::sqrt;
 #define store_lanes(value, pointer) (*(pointer) = (value))
 #define sum_lanes(x) (x)
 #define fabs(x) std::fabs(x)
+inline std::int64_t as_bits(double x) { return std::bit_cast<std::int64_t>(x); }
+inline std::int32_t as_bits(float x) { return std::bit_cast<std::int32_t>(x); }
+inline double as_real(std::int64_t x) { return std::bit_cast<double>(x); }
+inline float as_real(std::int32_t x) { return std::bit_cast<float>(x); }
+#define to_real(x) static_cast<real>(x)
 typedef int mask;
 inline std::size_t get_global_id(int) { return 0; }
 inline std::size_t get_global_size(int) { return 1; }

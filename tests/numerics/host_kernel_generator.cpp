@@ -27,7 +27,7 @@ void write_model(std::ostream& out, const kernels::Model& model, bool is_double)
             macros.insert(word);
     }
     out << "namespace " << tests::label(model) << " {\ntypedef " << (is_double ? "double" : "float")
-        << " scalar;\ntypedef scalar real;\n"
+        << " scalar;\ntypedef scalar real;\ntypedef " << (is_double ? "std::int64_t" : "std::int32_t") << " bits;\n"
         << text << R"(
 std::vector<double> run_terms(std::span<const double> columns, int samples, std::span<const double> parameters) {
     const auto c = narrowed<scalar>(columns), p = narrowed<scalar>(parameters);
