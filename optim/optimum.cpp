@@ -2,7 +2,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <list>
 #include <numbers>
+#include <numeric>
+#include <random>
 
 #include "kernels/evaluator.h"
 #include "optim/descent.h"
@@ -18,6 +21,9 @@ using kernels::Model;
 /// Points of a special case that are looked at, and those from which it descends.
 constexpr std::size_t kSpecialPoints = 16;
 constexpr std::size_t kSpecialStarts = 2;
+/// A search over more samples than this looks at a part of them, of about so many draws.
+constexpr std::size_t kThinAbove = 6000;
+constexpr std::size_t kThinTo = 2000;
 /// Ends of the quadratic search that the descent for another loss starts from.
 constexpr std::size_t kPolished = 6;
 /// Of NLopt's SLSQP from the best of their ends.
@@ -108,6 +114,43 @@ Weighted balanced(Weighted weighted) {
     return weighted;
 }
 
+/// A part of many samples, with weights so that sums over it estimate those over all.
+struct Thinned {
+    std::vector<kernels::Direction> directions;
+    Weighted data;
+};
+
+/// Half of the draws fall evenly, half in proportion to the weighted square of the value, which narrow peaks have and
+/// an even draw would miss.
+Thinned thinned(const Weighted& all, std::span<const kernels::Direction> directions, std::uint64_t seed) {
+    const std::size_t n = all.y.size();
+    std::vector<double> share(n);
+    double energy = 0;
+    for (std::size_t j = 0; j < n; ++j) energy += all.weight[j] * all.y[j] * all.y[j];
+    for (std::size_t j = 0; j < n; ++j)
+        share[j] = 0.5 / static_cast<double>(n) +
+                   (energy > 0 ? 0.5 * all.weight[j] * all.y[j] * all.y[j] / energy : 0.5 / static_cast<double>(n));
+    std::vector<std::size_t> order(n);
+    std::iota(order.begin(), order.end(), std::size_t{0});
+    std::mt19937_64 random(seed);
+    std::shuffle(order.begin(), order.end(), random);  // a regular grid of directions must not meet regular draws
+    Thinned result;
+    result.data.norm = all.norm;
+    double sum = 0.5;
+    for (const std::size_t j : order) {
+        const double expected = share[j] * static_cast<double>(kThinTo);
+        const double before = std::floor(sum);
+        sum += expected;
+        const double draws = std::floor(sum) - before;
+        if (draws == 0) continue;
+        result.directions.push_back(directions[j]);
+        result.data.y.push_back(all.y[j]);
+        result.data.weight.push_back(all.weight[j] * draws / expected);
+    }
+    result.data.used = result.data.y.size();
+    return result;
+}
+
 /// The end of a search in parameters, with what its record says so far.
 Optimum optimum_at(const Task& task, const SearchSpace& space, const Minimum& end, const SearchRecord& record) {
     Optimum optimum{&task.model, {}, 1, end.loss2, record};
@@ -183,25 +226,32 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
         balanced(task.weighted.logarithmic ? weigh(task.channel, Loss::relative) : task.weighted);
     const double scale2 = quadratic.norm > 0 ? quadratic.norm * quadratic.norm : 1.0;
     const SearchSpace space(task.model, bounds, Unknowns::nonlinear, task.scale);
-    Evaluator evaluator(task.engine, task.model, task.precision.value_or(task.engine.best_precision()), task.directions,
-                        quadratic.y, quadratic.weight);
-    SpaceLoss exact(evaluator, space, scale2);
-    std::optional<Evaluator> quick_evaluator;
-    std::optional<SpaceLoss> quick_loss;
-    if (!task.precision && task.model.sums_series()) {
-        const kernels::Precision precision = task.engine.quickest_precision();
-        quick_evaluator.emplace(task.engine, task.model, precision, task.directions, quadratic.y, quadratic.weight,
-                                kernels::Accuracy::search);
-        quick_loss.emplace(*quick_evaluator, space, scale2);
+    const kernels::Precision precision = task.precision.value_or(task.engine.best_precision());
+    std::list<Evaluator> evaluators;  // losses keep references
+    std::list<SpaceLoss> losses;
+    std::vector<SpaceLoss*> stages;
+    const auto add_stage = [&](kernels::Precision arithmetic, kernels::Accuracy accuracy,
+                               const kernels::DirectionSet& directions, const Weighted& data) {
+        evaluators.emplace_back(task.engine, task.model, arithmetic, directions, data.y, data.weight, accuracy);
+        stages.push_back(&losses.emplace_back(evaluators.back(), space, scale2));
+    };
+    const bool coarse = !task.precision && task.model.sums_series();
+    const kernels::Precision quick = coarse ? task.engine.quickest_precision() : precision;
+    const kernels::Accuracy accuracy = coarse ? kernels::Accuracy::search : kernels::Accuracy::full;
+    if (quadratic.y.size() > kThinAbove) {
+        const Thinned thin = thinned(quadratic, task.directions.directions(), task.control.seed);
+        add_stage(quick, accuracy, thin.directions, thin.data);
     }
-    SpaceLoss& quick = quick_loss ? *quick_loss : exact;
+    if (coarse) add_stage(quick, accuracy, task.directions, quadratic);
+    add_stage(precision, kernels::Accuracy::full, task.directions, quadratic);
+    SpaceLoss& exact = *stages.back();
 
-    std::vector<std::vector<double>> seeds = special_starts(task, quick);
+    std::vector<std::vector<double>> seeds = special_starts(task, *stages.front());
     if (smaller != nullptr) {
         const Start start = extended(task.model, *smaller);
         seeds.push_back(space.coordinates(start.parameters, start.scale));
     }
-    SearchResult found = search_space(quick, exact, budget(task.effort, space.dimension()), task.control, seeds);
+    SearchResult found = search_space(stages, budget(task.effort, space.dimension()), task.control, seeds);
     found.best.loss2 /= scale2;
     Optimum optimum = optimum_at(task, space, found.best, found.record);
     if (!task.weighted.logarithmic) {

@@ -317,8 +317,10 @@ Minimum descend(const Objective& objective, std::vector<double> u, int max_evalu
     return run(local_optimizer(dimension, max_evaluations, tolerance), objective, std::move(u), control);
 }
 
-SearchResult search_space(SpaceLoss& quick, SpaceLoss& exact, const SearchBudget& budget, const SearchControl& control,
+SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget& budget, const SearchControl& control,
                           const std::vector<std::vector<double>>& seeds) {
+    SpaceLoss& quick = *stages.front();
+    SpaceLoss& exact = *stages.back();
     const SearchSpace& space = quick.space();
     const std::size_t d = space.dimension();
     SearchResult result;
@@ -330,9 +332,10 @@ SearchResult search_space(SpaceLoss& quick, SpaceLoss& exact, const SearchBudget
     }
 
     std::vector<Minimum> ends;
-    const auto descend_from = [&](const std::vector<std::vector<double>>& starts) {
-        const Landscape landscape = [&](auto points) { return quick.looks(points); };
-        for (Minimum& end : descend_together(landscape, starts, kQuickGoal, control)) ends.push_back(std::move(end));
+    const auto descend_from = [&](SpaceLoss& loss, const std::vector<std::vector<double>>& starts) {
+        const Landscape landscape = [&](auto points) { return loss.looks(points); };
+        for (Minimum& end : descend_together(landscape, starts, &loss == &exact ? kExactGoal : kQuickGoal, control))
+            ends.push_back(std::move(end));
         std::stable_sort(ends.begin(), ends.end(),
                          [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
     };
@@ -343,7 +346,7 @@ SearchResult search_space(SpaceLoss& quick, SpaceLoss& exact, const SearchBudget
         const Objective objective = [&](std::span<const double> u, std::span<double> g) { return quick(u, g); };
         starts.push_back(explore(objective, d, budget.global_evaluations, control).u);
     }
-    descend_from(starts);
+    descend_from(quick, starts);
 
     const auto blocks = space.blocks();
     std::size_t bases = blocks.size() > 1 ? budget.bases : 0;
@@ -359,25 +362,30 @@ SearchResult search_space(SpaceLoss& quick, SpaceLoss& exact, const SearchBudget
                 for (auto& start : best_distinct(fresh, quick.screen(fresh, control), kExchangeStarts))
                     next.push_back(std::move(start));
             }
-        descend_from(next);
+        descend_from(quick, next);
         if (!(ends.front().loss2 < before * (1 - 5e-4))) break;
         bases = 1;
     }
 
     result.minima = distinct_ends(ends, 1e-2);
-    std::vector<std::vector<double>> polished;
-    for (const Minimum& end : result.minima)
-        if (polished.size() < kPolished && end.loss2 <= kPolishWithin * ends.front().loss2) polished.push_back(end.u);
-    if (polished.empty()) polished.push_back(ends.front().u);
-    const Landscape landscape = [&](auto at) { return exact.looks(at); };
-    const std::vector<Minimum> final_ends = descend_together(landscape, polished, kExactGoal, control);
-    result.best = *std::min_element(final_ends.begin(), final_ends.end(),
-                                    [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
-    const double agreed = std::sqrt(result.best.loss2) * 1.001 + 1e-6;
-    result.record = {ends.size(),
-                     static_cast<std::size_t>(std::count_if(
-                         ends.begin(), ends.end(), [&](const Minimum& m) { return std::sqrt(m.loss2) <= agreed; })),
-                     quick.evaluations() + (&quick == &exact ? 0 : exact.evaluations()), result.best.stop, 0};
+    const std::vector<Minimum> searched = ends;
+    for (SpaceLoss* const stage : stages.last(std::max<std::size_t>(1, stages.size() - 1))) {
+        const std::vector<Minimum> best = distinct_ends(ends, 1e-2);
+        std::vector<std::vector<double>> points;
+        for (const Minimum& end : best)
+            if (points.empty() || (points.size() < kPolished && end.loss2 <= kPolishWithin * best.front().loss2))
+                points.push_back(end.u);
+        ends.clear();
+        descend_from(*stage, points);
+    }
+    result.best = ends.front();
+    // Of what a thinner or coarser loss has found only its own losses are known.
+    const double agreed = std::sqrt(searched.front().loss2) * 1.001 + 1e-6;
+    result.record.starts = searched.size();
+    result.record.agreed = static_cast<std::size_t>(std::count_if(
+        searched.begin(), searched.end(), [&](const Minimum& m) { return std::sqrt(m.loss2) <= agreed; }));
+    for (const SpaceLoss* stage : stages) result.record.evaluations += stage->evaluations();
+    result.record.stop_reason = result.best.stop;
     exact.complete(result.best);
     return result;
 }

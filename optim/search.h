@@ -106,9 +106,10 @@ std::vector<std::vector<double>> screening_points(const SearchSpace& space, std:
 std::vector<std::vector<double>> best_distinct(const std::vector<std::vector<double>>& points,
                                                const std::vector<double>& values, std::size_t count);
 
-/// Minimises over the space: `quick` for the search, `exact` for its end (they may be one); both are losses of one
-/// space. `seeds` descend always: the result is no worse than any seed. Throws what they throw.
-SearchResult search_space(SpaceLoss& quick, SpaceLoss& exact, const SearchBudget& budget, const SearchControl& control,
+/// Minimises over a space. `stages` are losses of that space in rising order of cost and trust, at least one: the first
+/// is searched, each further one goes on from the best ends of the one before, the last decides. `seeds` descend
+/// always: the result is no worse than any seed as the first stage sees it. Throws what they throw.
+SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget& budget, const SearchControl& control,
                           const std::vector<std::vector<double>>& seeds);
 
 /// A smooth function on the unit cube: value, and its gradient unless that is empty.
