@@ -103,11 +103,11 @@ inline scalar sum_lanes(real x) {
 
 /* eps to which series are summed, and what follows from it. */
 #if SEARCH_ACCURACY
-#define LOG_EPSILON 11.0      /* ln(1/eps) */
-#define NEGLIGIBLE 5e-7       /* 0.03 eps */
-#define LEFT_MARGIN 2.4       /* ln LOG_EPSILON, and what the slopes need beyond */
+#define LOG_EPSILON 11.0 /* ln(1/eps) */
+#define NEGLIGIBLE 5e-7  /* 0.03 eps */
+#define LEFT_MARGIN 2.4  /* ln LOG_EPSILON, and what the slopes need beyond */
 #define LAMBERT_STEPS 1
-#define MODE_STEPS 0           /* of lambert_w where it only tells the place of a bell */
+#define MODE_STEPS 0     /* of lambert_w where it only tells the place of a bell */
 #elif REAL_IS_DOUBLE
 #define LOG_EPSILON 37.5
 #define NEGLIGIBLE 1.5e-18

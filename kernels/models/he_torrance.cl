@@ -124,8 +124,8 @@ inline Fresnel fresnel(real n, real k, real cd2, real sd2) {
     return t;
 }
 
-/* Step of the trapezoidal rule in widths of the bell, its least share of a number, and Stirling's error: ln m! less its
- * main terms is STIRLING/m with z = 1/m^2; STIRLING_SLOPE/m is -m times the derivative. */
+/* Step of the trapezoidal rule in widths of the bell; the least that is added to u, as a share of it; Stirling's error,
+ * ln m! less its main terms, is STIRLING/m with z = 1/m^2, and -m times its derivative STIRLING_SLOPE/m. */
 #if SEARCH_ACCURACY
 #define STRIDE 1.2
 #define STIRLING (1.0 / 12.0)
@@ -144,7 +144,7 @@ inline Fresnel fresnel(real n, real k, real cd2, real sd2) {
 #if REAL_IS_DOUBLE
 #define LEAST_STRIDE 1e-15
 #else
-#define LEAST_STRIDE 1e-6f
+#define LEAST_STRIDE 1e-6
 #endif
 
 /* Sums over m >= 1 of the Poisson weights t_m = e^-g g^m/m! e^(-a/m), each to be multiplied by height twice, so that

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdio>
 #include <limits>
 
 #include "tests/support.h"
@@ -309,6 +310,45 @@ TEST_P(EveryEvaluator, SingleIsCloseToDouble) {
     full.project(in.parameters, in.lower, in.upper, true, a);
     single.project(in.parameters, in.lower, in.upper, true, b);
     for (std::size_t i = 0; i < 50; ++i) EXPECT_NEAR(b.loss[i], a.loss[i], 1e-3 * a.loss[i]);
+}
+
+/// Values within 2e-5, slopes within 2e-4 of max(|slope|, |value/parameter|).
+TEST(SearchAccuracy, IsCloseToFullOverSurfacesOfEveryKind) {
+    const Model& model = variant("he_torrance");
+    std::vector<Direction> directions;
+    for (const double theta_i : {0.0, 15.0, 30.0, 45.0, 60.0, 75.0, 85.0})
+        for (double theta_r = -85; theta_r <= 85; theta_r += 2.5) directions.push_back({theta_i, theta_r, 0});
+    const std::size_t n = directions.size();
+    const std::vector<double> none(n, 0.0);
+    const Precision best = engine().best_precision();
+    Evaluator full(engine(), model, best, directions, none, none);
+    for (const Precision precision : {Precision::double_precision, Precision::single_precision}) {
+        if (!engine().supports(precision)) continue;
+        Evaluator search(engine(), model, precision, directions, none, none, kernels::Accuracy::search);
+        double worst_value = 0;
+        double worst_slope = 0;
+        for (double sigma = 0.02; sigma < 5; sigma *= 1.25)
+            for (const double tau : {2.0, 5.0, 8.8, 12.7, 14.8, 20.0, 60.0}) {
+                const std::vector<double> p{sigma, tau, 1.5, 0.3, 0.5};
+                const std::vector<double> a = full.terms(p);
+                const std::vector<double> b = search.terms(p);
+                for (std::size_t j = 0; j < n; ++j) {
+                    const double value = a[n + j];  // rows: diffuse, lobe, its slopes
+                    if (value < 1e-6) continue;
+                    worst_value = std::max(worst_value, std::abs(b[n + j] / value - 1));
+                    for (std::size_t k = 0; k < 4; ++k) {
+                        const double slope = a[(2 + k) * n + j];
+                        worst_slope = std::max(worst_slope, std::abs(b[(2 + k) * n + j] - slope) /
+                                                                std::max(std::abs(slope), value / p[k]));
+                    }
+                }
+            }
+        EXPECT_LT(worst_value, 2e-5);
+        EXPECT_LT(worst_slope, 2e-4);
+        EXPECT_GT(worst_slope, 1e-6) << "nothing was saved";
+        std::printf("search, %s: values %.1e, slopes %.1e\n",
+                    precision == Precision::double_precision ? "double" : "single", worst_value, worst_slope);
+    }
 }
 
 TEST(Batches, LargerThanOneLaunchAreWhole) {
