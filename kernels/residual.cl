@@ -20,6 +20,7 @@
 inline Params broadcast_parameters(global const scalar *parameters) {
     Params p;
     real *value = (real *)&p;
+    UNROLLED
     for (int i = 0; i < PARAMETERS; ++i) value[i] = (real)(parameters[i]);
     return p;
 }
@@ -27,6 +28,7 @@ inline Params broadcast_parameters(global const scalar *parameters) {
 inline Geometry load_geometry(global const scalar *columns, int samples, int first) {
     Geometry s;
     real *value = (real *)&s;
+    UNROLLED
     for (int i = 0; i < COLUMNS; ++i) value[i] = load_lanes(columns + i * samples + first);
     return s;
 }
@@ -160,30 +162,39 @@ typedef struct {
 
 inline void clear_sums(Sums *sums) {
     sums->loss = 0.0;
+    UNROLLED
     for (int i = 0; i < UNKNOWNS; ++i) sums->by_unknown[i] = 0.0;
+    UNROLLED
     for (int i = 0; i < NORMALS; ++i) sums->normal[i] = 0.0;
 }
 
 /* residual = f - y, or ln f - y with y = ln of the measured value. A value that underflowed counts as the smallest. */
 inline void add_sample(const real *term, const scalar *c, real y, real w, int logarithmic, int gradient, Sums *sums) {
     real f = 0.0;
+    UNROLLED
     for (int t = 0; t < TERMS; ++t) f += c[t] * term[term_value[t]];
     real residual = f - y;
     if (logarithmic) residual = log(fmax(f, (real)TINY)) - y;
     sums->loss += w * sqr(residual);
     if (!gradient) return;
     real column[UNKNOWNS];
+    UNROLLED
     for (int t = 0; t < TERMS; ++t) column[t] = term[term_value[t]];
+    UNROLLED
     for (int i = TERMS; i < UNKNOWNS; ++i) column[i] = 0.0;
+    UNROLLED
     for (int i = 0; i < SLOPES; ++i) column[TERMS + slope_column[i]] += c[slope_term[i]] * term[slope_value[i]];
     if (logarithmic) {
         const real by_f = sel(f > TINY, 1.0 / fmax(f, (real)TINY), 0.0);
+        UNROLLED
         for (int i = 0; i < UNKNOWNS; ++i) column[i] *= by_f;
     }
     int place = 0;
+    UNROLLED
     for (int i = 0; i < UNKNOWNS; ++i) {
         const real weighted = w * column[i];
         sums->by_unknown[i] += weighted * residual;
+        UNROLLED
         for (int j = i; j < UNKNOWNS; ++j) sums->normal[place++] += weighted * column[j];
     }
 }
@@ -205,6 +216,7 @@ inline void store_sums(const Sums *sums, const scalar *c, int gradient, global s
 inline void evaluate(Params p, Geometry s, Terms *f) {
     brdf(p, s, f);
     real *value = (real *)f;
+    UNROLLED
     for (int i = 0; i < TERM_VALUES; ++i) {
         value[i] = sel(value[i] > HUGE_SUMMED, HUGE_SUMMED, value[i]);
         value[i] = sel(value[i] < -HUGE_SUMMED, -HUGE_SUMMED, value[i]);
@@ -219,7 +231,9 @@ inline void project_candidate(int gradient, global const scalar *columns, global
     global scalar *kept = scratch;
 
     real gram_sum[TERMS * (TERMS + 1) / 2], b_sum[TERMS];
+    UNROLLED
     for (int i = 0; i < TERMS * (TERMS + 1) / 2; ++i) gram_sum[i] = 0.0;
+    UNROLLED
     for (int i = 0; i < TERMS; ++i) b_sum[i] = 0.0;
     for (int first = 0; first < samples; first += LANES) {
         Terms f;
@@ -227,14 +241,18 @@ inline void project_candidate(int gradient, global const scalar *columns, global
         const real *term = (const real *)&f;
         const real weight = load_lanes(w + first);
         const real measured = load_lanes(y + first);
+        UNROLLED
         for (int i = 0; i < TERMS; ++i) {
             const real weighted = weight * term[term_value[i]];
             b_sum[i] += weighted * measured;
+            UNROLLED
             for (int j = i; j < TERMS; ++j) gram_sum[gram_index(i, j)] += weighted * term[term_value[j]];
         }
         if (gradient)
+            UNROLLED
             for (int i = 0; i < TERM_VALUES; ++i) store_lanes(term[i], kept + i * LANES);
         else
+            UNROLLED
             for (int i = 0; i < TERMS; ++i) store_lanes(term[term_value[i]], kept + i * LANES);
         kept += stored * LANES;
     }
@@ -254,8 +272,10 @@ inline void project_candidate(int gradient, global const scalar *columns, global
     for (int first = 0; first < samples; first += LANES) {
         real term[TERM_VALUES];
         if (gradient)
+            UNROLLED
             for (int i = 0; i < TERM_VALUES; ++i) term[i] = load_lanes(kept + i * LANES);
         else
+            UNROLLED
             for (int i = 0; i < TERMS; ++i) term[term_value[i]] = load_lanes(kept + i * LANES);
         add_sample(term, c, load_lanes(y + first), load_lanes(w + first), 0, gradient, &sums);
         kept += stored * LANES;
