@@ -136,10 +136,8 @@ cl::Program Engine::Impl::program(const Model& model, Precision precision) {
         const cl::Program program = builder->program(source);
         const std::lock_guard lock(mutex);
         return programs.emplace(source.text, program).first->second;
-    } catch (const cl::BuildError& error) {
-        std::string log;
-        for (const auto& [device_, text_] : error.getBuildLog()) log += text_;
-        throw BuildError(model.file + " does not build for " + info.name + ":\n" + log);
+    } catch (const CompilerRefusal& refusal) {
+        throw BuildError(model.file + " does not build for " + info.name + ":\n" + refusal.what());
     } catch (const cl::Error& error) {
         throw device_error(error);
     }

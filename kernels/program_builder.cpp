@@ -32,7 +32,7 @@ constexpr std::string_view kFormat = "1";
 constexpr std::size_t kMostProcesses = 8;
 
 constexpr std::string_view kSourceSuffix = ".source";
-constexpr std::string_view kRefused = "the compiler refused it";
+constexpr std::string_view kLogSuffix = ".log";  // of a text that the compiler refused
 
 /// What the host's compiler may look at in the processor; a device's name does not tell a virtual machine's features.
 std::string processor() {
@@ -59,6 +59,17 @@ std::string driver_settings() {
     return text;
 }
 
+/// Whether a file of that size can be written there.
+bool has_room(const fs::path& folder, std::size_t bytes) {
+    const std::string file = (folder / "room").string();
+    const int descriptor = ::open(file.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, S_IRUSR | S_IWUSR);
+    if (descriptor < 0) return false;
+    const bool room = ::posix_fallocate(descriptor, 0, static_cast<off_t>(bytes)) == 0;
+    ::close(descriptor);
+    ::unlink(file.c_str());
+    return room;
+}
+
 std::string read(const fs::path& path) {
     std::ifstream in(path, std::ios::binary);
     return {std::istreambuf_iterator<char>(in), {}};
@@ -74,6 +85,18 @@ std::string last_line(const std::string& text) {
 std::vector<unsigned char> binary_of(const cl::Program& program) {
     const auto binaries = program.getInfo<CL_PROGRAM_BINARIES>();
     return binaries.empty() ? std::vector<unsigned char>{} : binaries.front();
+}
+
+cl::Program compile(const cl::Context& context, const cl::Device& device, const ProgramSource& source) {
+    cl::Program program(context, source.text);
+    try {
+        program.build({device}, source.flags.c_str());
+    } catch (const cl::BuildError& error) {
+        std::string log;
+        for (const auto& [device_, text] : error.getBuildLog()) log += text;
+        throw CompilerRefusal(log);
+    }
+    return program;
 }
 
 /// A process that builds: `builder build-programs DEVICE FOLDER`, its messages in a file. Waits for it when destroyed.
@@ -169,7 +192,8 @@ ProgramBuilder::ProgramBuilder(const cl::Context& context, const cl::Device& dev
     if (is_pocl) identity_ += driver_settings();
     if (is_pocl && options.cache && scratch_folder().empty())
         throw DeviceError("no folder has room for the OpenCL compiler's files (32 MB): set TMPDIR to one that has");
-    compiles_apart_ = is_pocl && options.cache && !builder_.empty();
+    private_driver_cache_ = is_pocl && options.cache;
+    compiles_apart_ = private_driver_cache_ && !builder_.empty();
 }
 
 CacheKey ProgramBuilder::key(std::string_view kind, std::string_view text, std::string_view flags) const {
@@ -177,14 +201,11 @@ CacheKey ProgramBuilder::key(std::string_view kind, std::string_view text, std::
 }
 
 cl::Program ProgramBuilder::load(const std::vector<unsigned char>& binary, const std::string& flags) const {
+    // PoCL unpacks it, and ends the process at the first launch where it could not.
+    if (private_driver_cache_ && !has_room(scratch_folder(), 2 * binary.size()))
+        throw DeviceError("there is no room for the OpenCL driver's files in " + scratch_folder().string());
     cl::Program program(context_, {device_}, {binary});
     program.build({device_}, flags.c_str());
-    return program;
-}
-
-cl::Program ProgramBuilder::compile(const ProgramSource& source) const {
-    cl::Program program(context_, source.text);
-    program.build({device_}, source.flags.c_str());
     return program;
 }
 
@@ -199,11 +220,9 @@ cl::Program ProgramBuilder::program(const ProgramSource& source) {
     if (compiles_apart_) {
         build_apart({&source, 1});
         if (const auto it = built_.find(key.text()); it != built_.end()) return load(it->second, source.flags);
-        // A text that the compiler refuses is compiled here once more: it then says why.
-        if (const auto it = ended_.find(key.text()); it != ended_.end() && it->second != kRefused)
-            throw DeviceError("the OpenCL compiler " + it->second);
+        std::rethrow_exception(failed_.at(key.text()));
     }
-    cl::Program program = compile(source);
+    cl::Program program = compile(context_, device_, source);
     if (!cache_.folder().empty()) (void)cache_.store(key, binary_of(program));
     return program;
 }
@@ -223,7 +242,7 @@ void ProgramBuilder::stop() {
     for (const pid_t process : processes_) ::kill(process, SIGKILL);
 }
 
-/// Leaves each in built_ or, with why, in ended_, unless it is there already.
+/// Leaves each in built_ or, with why, in failed_, unless it is there already.
 void ProgramBuilder::build_apart(std::span<const ProgramSource> sources) {
     const fs::path folder = scratch_folder() / "builds";
     std::error_code error;
@@ -231,12 +250,12 @@ void ProgramBuilder::build_apart(std::span<const ProgramSource> sources) {
     std::vector<CacheKey> missing;
     for (const ProgramSource& source : sources) {
         const CacheKey key = this->key("program", source.text, source.flags);
-        if (built_.contains(key.text()) || ended_.contains(key.text())) continue;
+        if (built_.contains(key.text()) || failed_.contains(key.text())) continue;
         std::ofstream(folder / (key.text() + std::string(kSourceSuffix)), std::ios::binary) << source.flags << '\n'
                                                                                             << source.text;
         missing.push_back(key);
     }
-    std::string ending;
+    std::string ending = "left no program";
     const std::size_t count =
         std::min<std::size_t>({missing.size(), std::max(1U, std::thread::hardware_concurrency()), kMostProcesses});
     std::vector<std::unique_ptr<BuildProcess>> processes;
@@ -261,13 +280,16 @@ void ProgramBuilder::build_apart(std::span<const ProgramSource> sources) {
             (void)cache_.store(key, *binary);
             built_[key.text()] = std::move(*binary);
         } else {
-            ended_[key.text()] = ending.empty() ? std::string(kRefused) : ending;
+            const fs::path log = folder / (key.text() + std::string(kLogSuffix));
+            failed_[key.text()] = fs::exists(log, error)
+                                      ? std::make_exception_ptr(CompilerRefusal(read(log)))
+                                      : std::make_exception_ptr(DeviceError("the OpenCL compiler " + ending));
         }
     }
     fs::remove_all(folder, error);
 }
 
-void build_programs(const std::string& device_name, const fs::path& folder) {
+void build_programs(const std::string& device_name, const fs::path& folder) try {
     ::prctl(PR_SET_PDEATHSIG, SIGKILL);  // nobody waits for the programs then
     const cl::Device device = choose_device(device_name);
     const cl::Context context(device);
@@ -284,15 +306,19 @@ void build_programs(const std::string& device_name, const fs::path& folder) {
         if (error) continue;
         const std::string source = read(taken);
         const std::size_t flags = source.find('\n');
-        cl::Program program(context, source.substr(flags + 1));
-        try {
-            program.build({device}, source.substr(0, flags).c_str());
-        } catch (const cl::Error&) {
-            continue;  // whoever needs the program will ask why
-        }
         const auto key = CacheKey::parse(path.stem().string());
-        if (!key || !results.store(*key, binary_of(program))) throw DeviceError("the build cannot be written");
+        bool written = false;
+        try {
+            const cl::Program program = compile(context, device, {source.substr(flags + 1), source.substr(0, flags)});
+            written = key && results.store(*key, binary_of(program));
+        } catch (const CompilerRefusal& refusal) {
+            const fs::path log = fs::path(path).replace_extension(kLogSuffix);
+            written = static_cast<bool>(std::ofstream(log, std::ios::binary) << refusal.what() << std::flush);
+        }
+        if (!written) throw DeviceError("could not write what it built");
     }
+} catch (const cl::Error& error) {
+    throw device_error(error);
 }
 
 }  // namespace brdfit::kernels

@@ -4,9 +4,11 @@
 
 #include <sys/types.h>
 
+#include <exception>
 #include <map>
 #include <mutex>
 #include <span>
+#include <stdexcept>
 #include <string>
 #include <vector>
 
@@ -22,6 +24,12 @@ struct ProgramSource {
     std::string flags;
 };
 
+/// A text that the compiler refused; what() is the compiler's log.
+class CompilerRefusal : public std::runtime_error {
+public:
+    using std::runtime_error::runtime_error;
+};
+
 /// One device's builds. Safe to use from several threads.
 ///
 /// PoCL ends the process where its compiler, or the disk that it writes to, fails. So it works in processes of its own
@@ -30,8 +38,7 @@ class ProgramBuilder {
 public:
     ProgramBuilder(const cl::Context& context, const cl::Device& device, const EngineOptions& options);
 
-    /// Throws cl::BuildError and cl::Error of the compiler in this process; DeviceError where a process of its own
-    /// ended.
+    /// Throws CompilerRefusal, cl::Error, and DeviceError where a process that built ended.
     cl::Program program(const ProgramSource& source);
     /// Builds what is not on the disk, in as many processes as there are cores. What fails is left to program() to
     /// tell.
@@ -45,11 +52,11 @@ public:
 private:
     void build_apart(std::span<const ProgramSource> sources);
     [[nodiscard]] cl::Program load(const std::vector<unsigned char>& binary, const std::string& flags) const;
-    [[nodiscard]] cl::Program compile(const ProgramSource& source) const;
 
     cl::Context context_;
     cl::Device device_;
     ProgramCache cache_;
+    bool private_driver_cache_ = false;
     bool compiles_apart_ = false;
     std::string builder_;
     std::string wanted_device_;
@@ -59,7 +66,7 @@ private:
     std::vector<pid_t> processes_;  ///< that build
     std::mutex mutex_;              ///< guards what is below; processes that build are waited for under it
     std::map<std::string, std::vector<unsigned char>> built_;  ///< by other processes, until they are loaded; by key
-    std::map<std::string, std::string> ended_;                 ///< why a process gave no program; by key
+    std::map<std::string, std::exception_ptr> failed_;         ///< why a process gave no program; by key
 };
 
 /// Sets the process up before its first OpenCL call: PoCL's compiler gets a folder of its own. Its cache is shared by
