@@ -19,8 +19,6 @@
 #include "kernels/engine_impl.h"
 #include "kernels/scratch.h"
 
-extern char** environ;
-
 namespace brdfit::kernels {
 namespace {
 
@@ -244,20 +242,36 @@ void ProgramBuilder::stop() {
 
 /// Leaves each in built_ or, with why, in failed_, unless it is there already.
 void ProgramBuilder::build_apart(std::span<const ProgramSource> sources) {
+    std::vector<ProgramSource> missing;
+    for (const ProgramSource& source : sources) {
+        const std::string key = this->key("program", source.text, source.flags).text();
+        if (!built_.contains(key) && !failed_.contains(key)) missing.push_back(source);
+    }
+    run_processes(missing, std::min<std::size_t>(
+                               {missing.size(), std::max(1U, std::thread::hardware_concurrency()), kMostProcesses}));
+    // Once more where a process ended before its time, which may have had too little memory: one by one.
+    for (const ProgramSource& source : missing) {
+        const auto failure = failed_.find(this->key("program", source.text, source.flags).text());
+        if (failure == failed_.end()) continue;
+        try {
+            std::rethrow_exception(failure->second);
+        } catch (const CompilerRefusal&) {
+            continue;
+        } catch (const DeviceError&) {
+            run_processes({&source, 1}, 1);
+        }
+    }
+}
+
+void ProgramBuilder::run_processes(std::span<const ProgramSource> sources, std::size_t count) {
     const fs::path folder = scratch_folder() / "builds";
     std::error_code error;
     fs::create_directories(folder, error);
-    std::vector<CacheKey> missing;
     for (const ProgramSource& source : sources) {
-        const CacheKey key = this->key("program", source.text, source.flags);
-        if (built_.contains(key.text()) || failed_.contains(key.text())) continue;
-        std::ofstream(folder / (key.text() + std::string(kSourceSuffix)), std::ios::binary) << source.flags << '\n'
-                                                                                            << source.text;
-        missing.push_back(key);
+        const std::string name = key("program", source.text, source.flags).text() + std::string(kSourceSuffix);
+        std::ofstream(folder / name, std::ios::binary) << source.flags << '\n' << source.text;
     }
     std::string ending = "left no program";
-    const std::size_t count =
-        std::min<std::size_t>({missing.size(), std::max(1U, std::thread::hardware_concurrency()), kMostProcesses});
     std::vector<std::unique_ptr<BuildProcess>> processes;
     {
         const std::lock_guard lock(stop_mutex_);
@@ -275,12 +289,14 @@ void ProgramBuilder::build_apart(std::span<const ProgramSource> sources) {
     }
     processes.clear();
     const ProgramCache results(folder);
-    for (const CacheKey& key : missing) {
+    for (const ProgramSource& source : sources) {
+        const CacheKey key = this->key("program", source.text, source.flags);
+        const fs::path log = folder / (key.text() + std::string(kLogSuffix));
         if (auto binary = results.load(key)) {
             (void)cache_.store(key, *binary);
             built_[key.text()] = std::move(*binary);
+            failed_.erase(key.text());
         } else {
-            const fs::path log = folder / (key.text() + std::string(kLogSuffix));
             failed_[key.text()] = fs::exists(log, error)
                                       ? std::make_exception_ptr(CompilerRefusal(read(log)))
                                       : std::make_exception_ptr(DeviceError("the OpenCL compiler " + ending));

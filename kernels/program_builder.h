@@ -51,6 +51,7 @@ public:
 
 private:
     void build_apart(std::span<const ProgramSource> sources);
+    void run_processes(std::span<const ProgramSource> sources, std::size_t count);
     [[nodiscard]] cl::Program load(const std::vector<unsigned char>& binary, const std::string& flags) const;
 
     cl::Context context_;
