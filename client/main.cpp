@@ -1,5 +1,6 @@
 /// The program `brdfit`: reads the command line and wires the parts.
 #include <algorithm>
+#include <csignal>
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
@@ -19,7 +20,9 @@
 #include "client/table.h"
 #include "kernels/engine.h"
 #include "kernels/model.h"
+#include "kernels/program_cache.h"
 #include "kernels/selftest.h"
+#include "kernels/tuning.h"
 #include "optim/fit.h"
 #include "server/serve.h"
 
@@ -119,6 +122,29 @@ void list_devices() {
                     device.name.c_str(), device.platform.c_str(), device.version.c_str());
 }
 
+const char* name_of(kernels::Precision precision) {
+    return precision == kernels::Precision::double_precision ? "double" : "single";
+}
+
+/// False if the choice could not be kept.
+bool tune(const kernels::EngineOptions& options, const std::vector<std::filesystem::path>& model_folders) {
+    const kernels::Catalogue catalogue(model_folders);
+    const std::vector<kernels::Tuning> tunings = kernels::tune(options, catalogue.families());
+    if (tunings.empty()) std::puts("nothing to choose: a work-item of this device takes one sample at a time");
+    bool kept = true;
+    for (const kernels::Tuning& tuning : tunings) {
+        std::printf("%s precision\n", name_of(tuning.precision));
+        for (const kernels::LanesTiming& timing : tuning.timings)
+            std::printf("  %2u lanes %9.2f us a candidate%s%s\n", timing.lanes, timing.time_us,
+                        timing.lanes == tuning.native ? ", native" : "",
+                        timing.lanes == tuning.chosen ? ", chosen" : "");
+        kept = kept && tuning.kept;
+    }
+    if (!kept)
+        std::fputs("brdfit: the choice could not be kept: there is no cache folder that can be written\n", stderr);
+    return kept;
+}
+
 /// False if the device failed.
 bool self_test(const kernels::EngineOptions& options, const std::vector<std::filesystem::path>& model_folders,
                bool json) {
@@ -126,7 +152,12 @@ bool self_test(const kernels::EngineOptions& options, const std::vector<std::fil
     kernels::Engine engine(options);
     const auto tests = kernels::prove(engine, catalogue.families(), kernels::SelfTestForm::whole);
     if (json) std::fputs(api::to_json(tests).c_str(), stdout);
-    else std::printf("%s\n%s", engine.device().name.c_str(), client::table(tests).c_str());
+    else {
+        std::printf("%s\n", engine.device().name.c_str());
+        for (const kernels::SelfTest& test : tests)
+            std::printf("  %u lanes in %s precision\n", engine.lanes(test.precision), name_of(test.precision));
+        std::fputs(client::table(tests).c_str(), stdout);
+    }
     return std::all_of(tests.begin(), tests.end(), [](const kernels::SelfTest& test) { return test.passed(); });
 }
 
@@ -163,25 +194,49 @@ int main(int argc, char** argv) {
         app.add_subcommand("selftest", "Compare the device with references: worst errors per model and precision");
     bool self_test_json = false;
     self_test_command->add_flag("--json", self_test_json, "Print JSON, as GET /v1 has it, instead of a table");
-    for (CLI::App* command : {serve, fit_command, models, self_test_command})
+    CLI::App* tune_command = app.add_subcommand(
+        "tune", "Measure which number of SIMD lanes is fastest here, and use it from now on; takes a minute");
+    for (CLI::App* command : {serve, fit_command, models, self_test_command, tune_command})
         command->add_option("--models", folders, "Folder with further model files (*.cl); may be given again")
             ->allow_extra_args(false)
             ->check(CLI::ExistingDirectory);
     kernels::EngineOptions engine_options;
-    for (CLI::App* command : {serve, fit_command, self_test_command}) {
+    for (CLI::App* command : {serve, fit_command, self_test_command, tune_command}) {
         command->add_option("--device", engine_options.device, "auto, cpu, gpu, or a part of the device's name")
             ->capture_default_str();
         command->add_option("--build-options", engine_options.build_options,
                             "Further options for the OpenCL compiler, e.g. --build-options=-cl-fast-relaxed-math");
     }
+    std::string cache_folder;
+    bool no_cache = false;
+    for (CLI::App* command : {serve, fit_command, self_test_command, tune_command}) {
+        command->add_option(
+            "--cache", cache_folder,
+            "Folder where compiled kernels are kept (default: $XDG_CACHE_HOME/brdfit or ~/.cache/brdfit)");
+        command->add_flag("--no-cache", no_cache, "Keep no compiled kernels: compile all of them at each start")
+            ->excludes("--cache");
+    }
+    std::string build_device, build_folder;
+    CLI::App* build = app.add_subcommand("build-programs", "For processes that brdfit starts itself")->group("");
+    build->add_option("device", build_device)->required();
+    build->add_option("folder", build_folder)->required();
     CLI11_PARSE(app, argc, argv);
+    // A write beyond a limit of the shell's then fails, as on a full disk.
+    std::signal(SIGXFSZ, SIG_IGN);
 
     serve_options.model_folders = fit_arguments.model_folders = folders;
+    if (no_cache) engine_options.cache = "";
+    else
+        engine_options.cache =
+            cache_folder.empty() ? kernels::default_cache_folder() : std::filesystem::absolute(cache_folder);
+    engine_options.builder = "/proc/self/exe";
     serve_options.engine = fit_arguments.engine = engine_options;
     try {
+        if (build->parsed()) kernels::build_programs(build_device, build_folder);
         if (serve->parsed()) server::serve(serve_options);
         if (fit_command->parsed() && !fit(fit_arguments)) return 1;
         if (self_test_command->parsed() && !self_test(engine_options, folders, self_test_json)) return 1;
+        if (tune_command->parsed() && !tune(engine_options, folders)) return 1;
         if (models->parsed()) std::fputs(api::to_json(kernels::Catalogue(folders)).c_str(), stdout);
         if (devices->parsed()) list_devices();
     } catch (const api::Refusal& refusal) {

@@ -39,6 +39,9 @@ std::vector<cl::Device> all_devices() {
     // PoCL's "basic" device runs a launch in the calling thread (0.6 us instead of 15-20 us of its thread pool); brdfit
     // brings its own threads, one search each. A user's own setting wins.
     ::setenv("POCL_DEVICES", "basic", 0);
+    // One compilation of a kernel serves every width of grid, and is the one that a binary holds; as fast as PoCL's own
+    // choice, one compilation a width.
+    ::setenv("POCL_WORK_GROUP_SPECIALIZATION", "0", 0);
     std::vector<cl::Platform> platforms;
     try {
         cl::Platform::get(&platforms);
@@ -63,7 +66,9 @@ std::vector<cl::Device> all_devices() {
     return devices;
 }
 
-cl::Device choose(const std::string& wanted) {
+}  // namespace
+
+cl::Device choose_device(const std::string& wanted) {
     const std::vector<cl::Device> devices = all_devices();
     if (devices.empty()) throw DeviceError("no OpenCL device: install pocl-opencl-icd or a GPU's driver");
     if (wanted.empty() || wanted == "auto") return devices.front();
@@ -75,8 +80,6 @@ cl::Device choose(const std::string& wanted) {
     }
     throw DeviceError("no OpenCL device matches \"" + wanted + "\"; there are: " + names);
 }
-
-}  // namespace
 
 DeviceError device_error(const cl::Error& error) {
     return DeviceError(std::string(error.what()) + " failed with OpenCL code " + std::to_string(error.err()));
@@ -93,8 +96,7 @@ std::string program_text(const Model& model, Precision precision, unsigned lanes
            part(model.file, model.text) + part("residual.cl", kResidualText);
 }
 
-unsigned Engine::Impl::lanes(Precision precision) const {
-    if (options.lanes) return *options.lanes;
+unsigned Engine::Impl::native_lanes(Precision precision) const {
     if (info.type != "cpu") return 1;
     const unsigned native = precision == Precision::double_precision
                                 ? device.getInfo<CL_DEVICE_NATIVE_VECTOR_WIDTH_DOUBLE>()
@@ -112,27 +114,30 @@ std::optional<std::string> Engine::Impl::refusal(Precision precision) const {
     return it == withdrawn.end() ? std::nullopt : std::optional(it->second);
 }
 
+ProgramSource Engine::Impl::source(const Model& model, Precision precision, Accuracy accuracy) const {
+    std::string flags = "-cl-std=CL1.2";
+    if (precision == Precision::single_precision) {
+        flags += " -cl-single-precision-constant";
+        if (device.getInfo<CL_DEVICE_SINGLE_FP_CONFIG>() & CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT)
+            flags += " -cl-fp32-correctly-rounded-divide-sqrt";
+    }
+    if (!options.build_options.empty()) flags += " " + options.build_options;
+    return {program_text(model, precision, lanes(precision), accuracy), flags};
+}
+
 cl::Program Engine::Impl::program(const Model& model, Precision precision, Accuracy accuracy) {
     if (const auto reason = refusal(precision)) throw PrecisionError(*reason);
-    const std::string text = program_text(model, precision, lanes(precision), accuracy);
-    const std::lock_guard lock(mutex);
-    if (const auto it = programs.find(text); it != programs.end()) return it->second;
+    const ProgramSource source = this->source(model, precision, accuracy);
+    {
+        const std::lock_guard lock(mutex);
+        if (const auto it = programs.find(source.text); it != programs.end()) return it->second;
+    }
     try {
-        cl::Program program(context, text);
-        std::string flags = "-cl-std=CL1.2";
-        if (precision == Precision::single_precision) {
-            flags += " -cl-single-precision-constant";
-            if (device.getInfo<CL_DEVICE_SINGLE_FP_CONFIG>() & CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT)
-                flags += " -cl-fp32-correctly-rounded-divide-sqrt";
-        }
-        if (!options.build_options.empty()) flags += " " + options.build_options;
-        program.build({device}, flags.c_str());
-        programs.emplace(text, program);
-        return program;
-    } catch (const cl::BuildError& error) {
-        std::string log;
-        for (const auto& [device_, text_] : error.getBuildLog()) log += text_;
-        throw BuildError(model.file + " does not build for " + info.name + ":\n" + log);
+        const cl::Program program = builder->program(source);
+        const std::lock_guard lock(mutex);
+        return programs.emplace(source.text, program).first->second;
+    } catch (const CompilerRefusal& refusal) {
+        throw BuildError(model.file + " does not build for " + info.name + ":\n" + refusal.what());
     } catch (const cl::Error& error) {
         throw device_error(error);
     }
@@ -140,10 +145,18 @@ cl::Program Engine::Impl::program(const Model& model, Precision precision, Accur
 
 Engine::Engine(const EngineOptions& options) : impl_(std::make_unique<Impl>()) {
     try {
-        impl_->device = choose(options.device);
+        if (options.cache) set_up_private_driver_cache();
+        impl_->device = choose_device(options.device);
         impl_->info = describe(impl_->device);
         impl_->context = cl::Context(impl_->device);
         impl_->options = options;
+        impl_->builder.emplace(impl_->context, impl_->device, options);
+        for (const Precision precision : {Precision::double_precision, Precision::single_precision}) {
+            unsigned& lanes = impl_->lanes_chosen[precision];
+            lanes = options.lanes.value_or(impl_->native_lanes(precision));
+            if (options.lanes || impl_->info.type != "cpu") continue;
+            lanes = kept_lanes(*impl_->builder, precision).value_or(lanes);
+        }
     } catch (const cl::Error& error) {
         throw device_error(error);
     }
@@ -179,6 +192,22 @@ void Engine::withdraw(Precision precision, std::string reason) {
 void Engine::prepare(const Model& model, Precision precision, Accuracy accuracy) {
     (void)impl_->program(model, precision, accuracy);
 }
+
+void Engine::build_ahead(std::span<const Family> families, std::span<const Precision> precisions) {
+    std::vector<ProgramSource> sources;
+    for (const Family& family : families)
+        for (const Model& model : family.variants)
+            for (const Precision precision : precisions) {
+                sources.push_back(impl_->source(model, precision, Accuracy::full));
+                if (model.sums_series() && usable() && precision == best_precision())  // what its searches use
+                    sources.push_back(impl_->source(model, quickest_precision(), Accuracy::search));
+            }
+    impl_->builder->build_ahead(sources);
+}
+
+void Engine::stop_building() { impl_->builder->stop(); }
+
+unsigned Engine::lanes(Precision precision) const { return impl_->lanes(precision); }
 
 std::vector<DeviceInfo> list_devices() {
     std::vector<DeviceInfo> list;

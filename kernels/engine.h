@@ -1,8 +1,10 @@
 /// An OpenCL device and the programs built for it.
 #pragma once
 
+#include <filesystem>
 #include <memory>
 #include <optional>
+#include <span>
 #include <stdexcept>
 #include <string>
 #include <string_view>
@@ -45,11 +47,19 @@ public:
 struct EngineOptions {
     /// "auto" (a GPU with double precision, else a CPU, else any), "cpu", "gpu", or a part of the device's name.
     std::string device = "auto";
-    /// Samples a work-item holds in a SIMD register: 1, 2, 4, 8 or 16. Unset: the device's native width, 1 on a GPU.
+    /// Samples a work-item holds in a SIMD register: 1, 2, 4, 8 or 16. Unset: what kernels/tuning.h found and `cache`
+    /// holds, else the device's native width; 1 on a GPU.
     std::optional<unsigned> lanes{};
     /// Further options for the device's OpenCL compiler, separated by spaces, e.g. "-cl-fast-relaxed-math". Whether the
     /// results still hold is what kernels/selftest.h tells.
     std::string build_options{};
+    /// The folder where builds are kept from one run to the next; an empty path keeps none, and builds anew. Unset:
+    /// what the driver itself keeps counts, as PoCL does in ~/.cache/pocl; a damaged or full cache of PoCL's then ends
+    /// the process.
+    std::optional<std::filesystem::path> cache{};
+    /// The executable that calls build_programs() when run as `builder build-programs DEVICE FOLDER`. With it and
+    /// `cache` PoCL compiles in processes of its own, several at once. Empty: in this process.
+    std::string builder{};
 };
 
 /// One device with a cache of programs by (model, precision, accuracy). Safe to use from several threads; create the
@@ -78,6 +88,13 @@ public:
     void withdraw(Precision precision, std::string reason);
     /// Builds the program of the model unless it is cached. Throws PrecisionError, BuildError, DeviceError.
     void prepare(const Model& model, Precision precision, Accuracy accuracy = Accuracy::full);
+    /// Builds the programs of all variants at once where EngineOptions::builder is set, for prepare() to find. Throws
+    /// nothing but std::bad_alloc: prepare() tells what failed.
+    void build_ahead(std::span<const Family> families, std::span<const Precision> precisions);
+    /// From any thread: ends build_ahead() soon, whoever called it; what it has not built is built no more.
+    void stop_building();
+    /// Samples a work-item holds in a SIMD register.
+    [[nodiscard]] unsigned lanes(Precision precision) const;
 
     struct Impl;
     [[nodiscard]] Impl& impl() const { return *impl_; }
@@ -88,6 +105,10 @@ private:
 
 /// Every OpenCL device of this machine, in the order `auto` prefers them. Empty if there is none.
 std::vector<DeviceInfo> list_devices();
+
+/// The work of a builder process, see EngineOptions::builder: builds what the folder asks for and leaves the binaries
+/// there. Throws DeviceError.
+void build_programs(const std::string& device, const std::filesystem::path& folder);
 
 /// The whole kernel text of a model, as it goes to the compiler.
 std::string program_text(const Model& model, Precision precision, unsigned lanes, Accuracy accuracy = Accuracy::full);

@@ -6,6 +6,7 @@
 
 #include "kernels/engine.h"
 #include "kernels/opencl.h"
+#include "kernels/program_builder.h"
 
 namespace brdfit::kernels {
 
@@ -14,16 +15,27 @@ struct Engine::Impl {
     cl::Context context;
     DeviceInfo info;
     EngineOptions options;
-    std::mutex mutex;                             // guards programs; PoCL's compiler runs under it, one at a time
-    std::map<std::string, cl::Program> programs;  // by program text
+    std::optional<ProgramBuilder> builder;        // set from the constructor on
+    std::mutex mutex;                             // guards programs
+    std::map<std::string, cl::Program> programs;  // by program text and precision
     mutable std::mutex withdrawn_mutex;           // guards withdrawn; not held while the compiler runs
     std::map<Precision, std::string> withdrawn;   // why
 
-    [[nodiscard]] unsigned lanes(Precision precision) const;
+    std::map<Precision, unsigned> lanes_chosen;  // set from the constructor on
+
+    [[nodiscard]] unsigned native_lanes(Precision precision) const;
+    [[nodiscard]] unsigned lanes(Precision precision) const { return lanes_chosen.at(precision); }
     [[nodiscard]] std::optional<std::string> refusal(Precision precision) const;
+    [[nodiscard]] ProgramSource source(const Model& model, Precision precision, Accuracy accuracy) const;
     /// Throws PrecisionError, BuildError, DeviceError.
     cl::Program program(const Model& model, Precision precision, Accuracy accuracy);
 };
+
+/// What tune() has kept for this device, if anything; see kernels/tuning.h.
+std::optional<unsigned> kept_lanes(const ProgramBuilder& builder, Precision precision);
+
+/// The device of EngineOptions::device. Throws DeviceError.
+cl::Device choose_device(const std::string& wanted);
 
 /// DeviceError with the call's name and the code's.
 DeviceError device_error(const cl::Error& error);

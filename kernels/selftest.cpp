@@ -185,15 +185,19 @@ SelfTest self_test(Engine& engine, std::span<const Family> families, Precision p
 }
 
 SelfTest prove(Engine& engine, std::span<const Family> families, Precision precision, SelfTestForm form) {
+    engine.build_ahead(families, {&precision, 1});
     SelfTest result = self_test(engine, families, precision, form);
     if (!result.passed()) engine.withdraw(precision, result.reason());
     return result;
 }
 
 std::vector<SelfTest> prove(Engine& engine, std::span<const Family> families, SelfTestForm form) {
-    std::vector<SelfTest> results;
+    std::vector<Precision> precisions;
     for (const Precision precision : {Precision::double_precision, Precision::single_precision})
-        if (engine.supports(precision)) results.push_back(prove(engine, families, precision, form));
+        if (engine.supports(precision)) precisions.push_back(precision);
+    engine.build_ahead(families, precisions);
+    std::vector<SelfTest> results;
+    for (const Precision precision : precisions) results.push_back(prove(engine, families, precision, form));
     return results;
 }
 

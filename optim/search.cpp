@@ -333,7 +333,7 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
 
     std::vector<Minimum> ends;
     const auto descend_from = [&](SpaceLoss& loss, const std::vector<std::vector<double>>& starts) {
-        const Landscape landscape = [&](auto points) { return loss.looks(points); };
+        const Landscape landscape = [&](auto at) { return loss.looks(at); };
         for (Minimum& end : descend_together(landscape, starts, &loss == &exact ? kExactGoal : kQuickGoal, control))
             ends.push_back(std::move(end));
         std::stable_sort(ends.begin(), ends.end(),
@@ -371,12 +371,12 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
     const std::vector<Minimum> searched = ends;
     for (SpaceLoss* const stage : stages.last(std::max<std::size_t>(1, stages.size() - 1))) {
         const std::vector<Minimum> best = distinct_ends(ends, 1e-2);
-        std::vector<std::vector<double>> points;
+        std::vector<std::vector<double>> from;
         for (const Minimum& end : best)
-            if (points.empty() || (points.size() < kPolished && end.loss2 <= kPolishWithin * best.front().loss2))
-                points.push_back(end.u);
+            if (from.empty() || (from.size() < kPolished && end.loss2 <= kPolishWithin * best.front().loss2))
+                from.push_back(end.u);
         ends.clear();
-        descend_from(*stage, points);
+        descend_from(*stage, from);
     }
     result.best = ends.front();
     // Of what a thinner or coarser loss has found only its own losses are known.

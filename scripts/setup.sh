@@ -48,7 +48,7 @@ compile() {
 }
 
 # wait_for_server PID LOG SECONDS: prints the URL that a server started by us has written to its log, once it answers
-# there. It does so when all kernels are built: fits are possible at once. False if it ended, or took too long.
+# there. It does so when the kernels of one precision are built: fits are possible at once. False if it ended, or took too long.
 wait_for_server() {
     local pid=$1 log=$2 seconds=$3 url
     local end=$((SECONDS + seconds))

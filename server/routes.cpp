@@ -47,17 +47,6 @@ double query_number(const std::string& key, const std::string& text) {
     return number;
 }
 
-/// The precision asked for, or the best; refused where it may not be used.
-kernels::Precision supported(const kernels::Engine& engine, std::optional<kernels::Precision> wanted,
-                             const std::string& pointer) {
-    if (!engine.usable())
-        throw Refusal({503, "unfit-device", "the device failed its self-test; /health/ready tells where", {}});
-    const kernels::Precision precision = wanted.value_or(engine.best_precision());
-    if (const auto reason = engine.refusal(precision))
-        throw Refusal({422, "invalid-request", pointer + ": " + *reason, {{pointer, "unsupported", *reason, {}, {}}}});
-    return precision;
-}
-
 api::PlotOptions plot_options(const api::Query& query) {
     api::PlotOptions options;
     for (const auto& [key, value] : query) {
@@ -123,7 +112,7 @@ Response Routes::dispatch(const Request& request) const {
     if (is({"health", "live"})) response = {200, "application/json", "{\"status\":\"live\"}\n", {}};
     else if (is({"health", "ready"})) response = get_ready();
     else if (is({"v1"}) || is({""}))
-        response.body = api::service_json(fitter_.engine().device(), self_tests_, kLargestBody);
+        response.body = api::service_json(fitter_.engine().device(), self_tests_.get(), kLargestBody);
     else if (is({"v1", "models"})) response.body = api::to_json(catalogue_);
     else if (is({"v1", "models", "*"})) response = get_models(parts[2]);
     else if (is({"v1", "fits", "*"}) || is({"v1", "fits", "*", "result"})) response = get_result(parts[2]);
@@ -131,6 +120,18 @@ Response Routes::dispatch(const Request& request) const {
     else throw Refusal({404, "not-found", "there is nothing at this path", {}});
     only(reading);
     return response;
+}
+
+kernels::Precision Routes::proven(std::optional<kernels::Precision> wanted, const std::string& pointer) const {
+    const kernels::Engine& engine = fitter_.engine();
+    if (!engine.usable())
+        throw Refusal({503, "unfit-device", "the device failed its self-test; /health/ready tells where", {}});
+    const kernels::Precision best = engine.best_precision();
+    const kernels::Precision precision = wanted.value_or(best);
+    if (precision != best) self_tests_.wait();
+    if (const auto reason = engine.refusal(precision))
+        throw Refusal({422, "invalid-request", pointer + ": " + *reason, {{pointer, "unsupported", *reason, {}, {}}}});
+    return precision;
 }
 
 Response Routes::post_fit(const Request& request) const {
@@ -145,7 +146,7 @@ Response Routes::post_fit(const Request& request) const {
     } else {
         throw Refusal({415, "unsupported-media-type", "the body must be " + accepted_types(request.path), {}});
     }
-    (void)supported(fitter_.engine(), fit.options.precision, "/options/precision");
+    (void)proven(fit.options.precision, "/options/precision");
     auto finished = std::make_shared<Job>();
     finished->id = make_job_id();
     finished->report = fitter_.fit(fit.dataset, fit.models, fit.options, stop_);
@@ -166,7 +167,7 @@ Response Routes::post_evaluate(const Request& request) const {
         throw Refusal({415, "unsupported-media-type", "the body must be " + accepted_types(request.path), {}});
     const api::EvaluateRequest evaluate = api::read_evaluate_request(request.body, catalogue_);
     kernels::Engine& engine = fitter_.engine();
-    const kernels::Precision precision = supported(engine, evaluate.precision, "/precision");
+    const kernels::Precision precision = proven(evaluate.precision, "/precision");
     const kernels::Values values = kernels::evaluate(engine, *evaluate.model, precision, evaluate.parameters,
                                                      evaluate.directions, evaluate.gradient);
     Response response;
@@ -176,10 +177,11 @@ Response Routes::post_evaluate(const Request& request) const {
 
 Response Routes::get_ready() const {
     if (stop_.stop_requested()) throw Refusal({503, "stopping", "the service is stopping", {}});
+    const std::vector<kernels::SelfTest>& self_tests = self_tests_.get();
     const bool ready = fitter_.engine().usable();
     Response response;
     response.status = ready ? 200 : 503;
-    response.body = api::ready_json(self_tests_, ready);
+    response.body = api::ready_json(self_tests, ready);
     return response;
 }
 

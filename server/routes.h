@@ -2,8 +2,10 @@
 #pragma once
 
 #include <cstddef>
+#include <future>
 #include <map>
 #include <memory>
+#include <optional>
 #include <stop_token>
 #include <string>
 #include <vector>
@@ -41,10 +43,15 @@ std::string accepted_types(const std::string& path);
 
 class Routes {
 public:
-    /// self_tests: what they found by the time of the first request.
+    /// self_tests: what they found. By the first request those of the best precision have ended; who asks for another,
+    /// or for what they found, waits for all.
     Routes(const kernels::Catalogue& catalogue, optim::Fitter& fitter, JobStore& store,
-           const std::vector<kernels::SelfTest>& self_tests, std::stop_token stop)
-        : catalogue_(catalogue), fitter_(fitter), store_(store), self_tests_(self_tests), stop_(std::move(stop)) {}
+           std::shared_future<std::vector<kernels::SelfTest>> self_tests, std::stop_token stop)
+        : catalogue_(catalogue),
+          fitter_(fitter),
+          store_(store),
+          self_tests_(std::move(self_tests)),
+          stop_(std::move(stop)) {}
 
     /// Never throws: what goes wrong is a problem+json answer, and a line in the log.
     [[nodiscard]] Response handle(const Request& request) const;
@@ -54,6 +61,8 @@ private:
     [[nodiscard]] Response post_fit(const Request& request) const;
     [[nodiscard]] Response post_evaluate(const Request& request) const;
     [[nodiscard]] Response get_ready() const;
+    /// The precision asked for, or the best; refused where it may not be used.
+    [[nodiscard]] kernels::Precision proven(std::optional<kernels::Precision> wanted, const std::string& pointer) const;
     [[nodiscard]] Response get_models(const std::string& name) const;
     [[nodiscard]] Response get_result(const std::string& id) const;
     [[nodiscard]] Response get_plot(const std::string& id, const std::string& file, const api::Query& query) const;
@@ -62,7 +71,7 @@ private:
     const kernels::Catalogue& catalogue_;
     optim::Fitter& fitter_;
     JobStore& store_;
-    const std::vector<kernels::SelfTest>& self_tests_;
+    std::shared_future<std::vector<kernels::SelfTest>> self_tests_;
     std::stop_token stop_;
 };
 

@@ -6,6 +6,8 @@
 #include <chrono>
 #include <csignal>
 #include <cstdio>
+#include <future>
+#include <span>
 #include <stdexcept>
 #include <stop_token>
 #include <thread>
@@ -35,6 +37,43 @@ void log(const kernels::SelfTest& test) {
             spdlog::error("{}: {}", kernels::variant_name(model.model, model.lobes), failure);
 }
 
+/// Proves the precisions of an engine one after the other.
+class SelfTester {
+public:
+    SelfTester(kernels::Engine& engine, std::span<const kernels::Family> families)
+        : engine_(engine), families_(families) {
+        for (const Precision precision : {Precision::double_precision, Precision::single_precision})
+            if (engine.supports(precision)) left_.push_back(precision);
+    }
+
+    /// Up to the first one that passes, the most precise ones first.
+    void prove_best() {
+        bool passed = false;
+        while (!passed && !left_.empty()) passed = prove_next();
+    }
+    /// The rest. All that was found.
+    std::vector<kernels::SelfTest> prove_others() {
+        while (!left_.empty()) (void)prove_next();
+        return std::move(found_);
+    }
+
+private:
+    using Precision = kernels::Precision;
+
+    bool prove_next() {
+        const Precision precision = left_.front();
+        left_.erase(left_.begin());
+        found_.push_back(kernels::prove(engine_, families_, precision, kernels::SelfTestForm::brief));
+        log(found_.back());
+        return found_.back().passed();
+    }
+
+    kernels::Engine& engine_;
+    std::span<const kernels::Family> families_;
+    std::vector<Precision> left_;
+    std::vector<kernels::SelfTest> found_;
+};
+
 bool is_loopback(const std::string& host) { return host == "localhost" || host == "::1" || host.starts_with("127."); }
 
 }  // namespace
@@ -55,14 +94,18 @@ void serve(const ServeOptions& options) {
     const unsigned threads = options.threads != 0 ? options.threads : std::thread::hardware_concurrency();
     optim::Fitter fitter(engine, threads);
     std::stop_source stop;
-    std::vector<kernels::SelfTest> self_tests;
-    const Routes routes(catalogue, fitter, store, self_tests, stop.get_token());
+    std::promise<std::vector<kernels::SelfTest>> self_tests;
+    const Routes routes(catalogue, fitter, store, self_tests.get_future().share(), stop.get_token());
     HttpServer http(routes);
     const int port = http.bind(options.host, options.port);  // a taken port is told before the compiler runs
-    self_tests = kernels::prove(engine, catalogue.families(), kernels::SelfTestForm::brief);
-    for (const kernels::SelfTest& test : self_tests) log(test);
+    // Fits are possible when one precision is proven; the other is while the first requests come.
+    SelfTester tester(engine, catalogue.families());
+    tester.prove_best();
     if (engine.usable())
         for (const kernels::Family& family : catalogue.families()) fitter.warm_up(family);
+    const std::jthread others([&] { self_tests.set_value(tester.prove_others()); });
+    const auto stop_building = [&] { engine.stop_building(); };
+    const std::stop_callback stopped(stop.get_token(), stop_building);
 
     std::atomic<bool> signalled = false;
     std::jthread waiter([&](const std::stop_token& served) {
