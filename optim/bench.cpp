@@ -126,7 +126,7 @@ public:
             std::vector<std::future<void>> clients;
             for (unsigned client = 0; client < threads_; ++client)
                 clients.push_back(std::async(std::launch::async, [&] {
-                    for (std::size_t i; (i = next++) < end;)
+                    for (std::size_t i = next++; i < end; i = next++)
                         fit(made_up(engine_, catalogue_, 1, batch.samples, i), models, Effort::standard, i);
                 }));
             for (auto& client : clients) client.get();
