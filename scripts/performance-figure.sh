@@ -80,7 +80,7 @@ fit() {
             | (if .growth == "models" and (.models | length | IN(1, 4)) then "500 samples: \(.models | joined)"
                elif .growth == "channels" and (.channels | IN(8, 31)) then "\(.channels) channels of 500 samples, four models"
                elif .growth == "samples" and .samples == 100000 then "100000 samples in and out of the plane, four models"
-               elif .growth == "requests" then "\(.requests) requests at once, 500 samples, four models" else empty end)
+               elif .growth == "requests" then "requests at once: \(.requests), 500 samples, four models" else empty end)
             as $what | [$what, (.wall_s | ms), (.cpu_s | ms), (.peak_MiB | round)]'
         echo
         jq -r "$shared"'.batches[] | "A batch of \(.datasets) datasets of \(.samples) samples, phong and ward: \(.first_per_s | digits(3)) a second and \(.first_MiB | round) MiB resident in its first tenth, \(.last_per_s | digits(3)) a second and \(.last_MiB | round) MiB in its last."' \
