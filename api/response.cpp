@@ -188,6 +188,52 @@ std::string to_json(const kernels::Family& family) { return text_of(family_json(
 
 std::string to_json(std::span<const kernels::SelfTest> tests) { return text_of(self_tests_json(tests)); }
 
+std::string to_json(const kernels::DeviceInfo& device, std::span<const kernels::Throughput> throughputs) {
+    Json precisions = Json::array();
+    for (const kernels::Throughput& throughput : throughputs) {
+        Json models = Json::array();
+        for (const kernels::ModelRate& rate : throughput.models) {
+            Json launches = Json::array();
+            for (std::size_t i = 0; i < rate.evaluations_per_s.size(); ++i)
+                launches.push_back(
+                    {{"candidates", kernels::kLaunches[i]}, {"evaluations_per_s", number(rate.evaluations_per_s[i])}});
+            models.push_back({{"model", kernels::variant_name(rate.model, rate.lobes)},
+                              {"launches", launches},
+                              {"exps", number(rate.exps)},
+                              {"fraction_of_exps", number(1 / rate.exps)}});
+        }
+        precisions.push_back({{"precision", name_of(kPrecisions, throughput.precision)},
+                              {"exps_per_s", number(throughput.exps_per_s)},
+                              {"models", models}});
+    }
+    return text_of({{"device", device_json(device)}, {"samples", kernels::kLaunchSamples}, {"precisions", precisions}});
+}
+
+std::string to_json(const kernels::DeviceInfo& device, const optim::FitBench& bench) {
+    Json timings = Json::array();
+    for (const optim::FitTiming& t : bench.timings)
+        timings.push_back({{"growth", t.growth},
+                           {"models", t.models},
+                           {"channels", t.channels},
+                           {"samples", t.samples},
+                           {"effort", name_of(kEfforts, t.effort)},
+                           {"requests", t.requests},
+                           {"repetitions", t.repetitions},
+                           {"wall_s", number(t.wall_s)},
+                           {"cpu_s", number(t.cpu_s)},
+                           {"peak_MiB", number(t.peak_MiB)}});
+    Json batches = Json::array();
+    for (const optim::BatchTiming& b : bench.batches)
+        batches.push_back({{"datasets", b.datasets},
+                           {"samples", b.samples},
+                           {"first_per_s", number(b.first_per_s)},
+                           {"last_per_s", number(b.last_per_s)},
+                           {"first_MiB", number(b.first_MiB)},
+                           {"last_MiB", number(b.last_MiB)}});
+    return text_of(
+        {{"device", device_json(device)}, {"threads", bench.threads}, {"timings", timings}, {"batches", batches}});
+}
+
 std::string service_json(const kernels::DeviceInfo& device, std::span<const kernels::SelfTest> tests,
                          std::size_t largest_body) {
     return text_of({{"name", "brdfit"},

@@ -6,6 +6,8 @@
 
 #include "kernels/model.h"
 #include "kernels/selftest.h"
+#include "kernels/throughput.h"
+#include "optim/bench.h"
 #include "optim/report.h"
 
 namespace brdfit::api {
@@ -22,6 +24,10 @@ std::string to_json(const kernels::Family& family);
 
 /// Self-tests by precision: `brdfit selftest --json`.
 std::string to_json(std::span<const kernels::SelfTest> tests);
+
+/// `brdfit bench device --json` and `brdfit bench fit --json`.
+std::string to_json(const kernels::DeviceInfo& device, std::span<const kernels::Throughput> throughputs);
+std::string to_json(const kernels::DeviceInfo& device, const optim::FitBench& bench);
 
 /// GET /v1: what this service is.
 std::string service_json(const kernels::DeviceInfo& device, std::span<const kernels::SelfTest> tests,

@@ -1,10 +1,12 @@
 /// The program `brdfit`: reads the command line and wires the parts.
 #include <algorithm>
+#include <chrono>
 #include <csignal>
 #include <cstdio>
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <map>
 #include <string>
 #include <thread>
 #include <vector>
@@ -22,7 +24,9 @@
 #include "kernels/model.h"
 #include "kernels/program_cache.h"
 #include "kernels/selftest.h"
+#include "kernels/throughput.h"
 #include "kernels/tuning.h"
+#include "optim/bench.h"
 #include "optim/fit.h"
 #include "server/serve.h"
 
@@ -161,6 +165,23 @@ bool self_test(const kernels::EngineOptions& options, const std::vector<std::fil
     return std::all_of(tests.begin(), tests.end(), [](const kernels::SelfTest& test) { return test.passed(); });
 }
 
+void bench_device(const kernels::EngineOptions& options, double seconds, bool json) {
+    const kernels::Catalogue catalogue;
+    kernels::Engine engine(options);
+    const auto throughputs =
+        kernels::measure_throughput(engine, catalogue.families(), std::chrono::duration<double>(seconds));
+    if (json) std::fputs(api::to_json(engine.device(), throughputs).c_str(), stdout);
+    else std::printf("%s\n%s", engine.device().name.c_str(), client::table(throughputs).c_str());
+}
+
+void bench_fit(const kernels::EngineOptions& options, const std::string& growth, optim::BenchLength length, bool json) {
+    const kernels::Catalogue catalogue;
+    kernels::Engine engine(options);
+    const auto bench = optim::bench_fits(engine, catalogue, std::thread::hardware_concurrency(), growth, length);
+    if (json) std::fputs(api::to_json(engine.device(), bench).c_str(), stdout);
+    else std::printf("%s, %s", engine.device().name.c_str(), client::table(bench).c_str());
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -196,12 +217,32 @@ int main(int argc, char** argv) {
     self_test_command->add_flag("--json", self_test_json, "Print JSON, as GET /v1 has it, instead of a table");
     CLI::App* tune_command = app.add_subcommand(
         "tune", "Measure which number of SIMD lanes is fastest here, and use it from now on; takes a minute");
+    CLI::App* bench = app.add_subcommand("bench", "Measure speed");
+    bench->require_subcommand(1);
+    CLI::App* bench_device_command = bench->add_subcommand("device", "Evaluations a second, per model and precision");
+    double bench_seconds = 0.2;
+    bench_device_command->add_option("--seconds", bench_seconds, "Time for each figure")
+        ->check(CLI::Range(0.0, 60.0))
+        ->capture_default_str();
+    CLI::App* bench_fit_command = bench->add_subcommand("fit", "Times and memory of whole fits");
+    std::string bench_growth;
+    bench_fit_command->add_option("--only", bench_growth, "models, channels, samples, effort, requests or batch");
+    auto bench_length = optim::BenchLength::standard;
+    const std::map<std::string, optim::BenchLength> lengths{{"brief", optim::BenchLength::brief},
+                                                            {"standard", optim::BenchLength::standard},
+                                                            {"full", optim::BenchLength::full}};
+    bench_fit_command->add_option("--length", bench_length, "brief, standard or full")
+        ->transform(CLI::CheckedTransformer(lengths));
+    bool bench_json = false;
+    for (CLI::App* command : {bench_device_command, bench_fit_command})
+        command->add_flag("--json", bench_json, "Print JSON instead of a table");
     for (CLI::App* command : {serve, fit_command, models, self_test_command, tune_command})
         command->add_option("--models", folders, "Folder with further model files (*.cl); may be given again")
             ->allow_extra_args(false)
             ->check(CLI::ExistingDirectory);
     kernels::EngineOptions engine_options;
-    for (CLI::App* command : {serve, fit_command, self_test_command, tune_command}) {
+    for (CLI::App* command :
+         {serve, fit_command, self_test_command, tune_command, bench_device_command, bench_fit_command}) {
         command->add_option("--device", engine_options.device, "auto, cpu, gpu, or a part of the device's name")
             ->capture_default_str();
         command->add_option("--build-options", engine_options.build_options,
@@ -239,6 +280,8 @@ int main(int argc, char** argv) {
         if (tune_command->parsed() && !tune(engine_options, folders)) return 1;
         if (models->parsed()) std::fputs(api::to_json(kernels::Catalogue(folders)).c_str(), stdout);
         if (devices->parsed()) list_devices();
+        if (bench_device_command->parsed()) bench_device(engine_options, bench_seconds, bench_json);
+        if (bench_fit_command->parsed()) bench_fit(engine_options, bench_growth, bench_length, bench_json);
     } catch (const api::Refusal& refusal) {
         print_refusal(fit_arguments.file, refusal.problem());
         return 2;

@@ -44,6 +44,42 @@ std::string table(std::span<const kernels::SelfTest> tests) {
     return text;
 }
 
+std::string table(std::span<const kernels::Throughput> throughputs) {
+    std::string text;
+    for (const kernels::Throughput& throughput : throughputs) {
+        text += fmt::format(
+            "{} precision: {:.1f} million exps/s. Millions of evaluations/s, with gradient, {} samples:\n",
+            name_of(api::kPrecisions, throughput.precision), 1e-6 * throughput.exps_per_s, kernels::kLaunchSamples);
+        text += fmt::format("  {:<14}", "candidates");
+        for (const std::size_t candidates : kernels::kLaunches) text += fmt::format(" {:>9}", candidates);
+        text += fmt::format(" {:>9} {:>9}\n", "of exps", "in exps");
+        for (const kernels::ModelRate& rate : throughput.models) {
+            text += fmt::format("  {:<14}", kernels::variant_name(rate.model, rate.lobes));
+            for (const double evaluations : rate.evaluations_per_s)
+                text += fmt::format(" {:>9.2f}", 1e-6 * evaluations);
+            text += fmt::format(" {:>7.1f} % {:>9.1f}\n", 100 / rate.exps, rate.exps);
+        }
+    }
+    return text;
+}
+
+std::string table(const optim::FitBench& bench) {
+    std::string text = fmt::format("{} threads, medians\n", bench.threads);
+    text += fmt::format("  {:<9} {:>8} {:>8} {:<9} {:>8} {:>5} {:>10} {:>10} {:>9}  {}\n", "growth", "channels",
+                        "samples", "effort", "requests", "times", "wall, ms", "cpu, ms", "peak, MiB", "models");
+    for (const optim::FitTiming& t : bench.timings)
+        text += fmt::format("  {:<9} {:>8} {:>8} {:<9} {:>8} {:>5} {:>10.1f} {:>10.1f} {:>9.1f}  {}\n", t.growth,
+                            t.channels, t.samples, name_of(api::kEfforts, t.effort), t.requests, t.repetitions,
+                            1e3 * t.wall_s, 1e3 * t.cpu_s, t.peak_MiB, fmt::join(t.models, ", "));
+    for (const optim::BatchTiming& b : bench.batches)
+        text += fmt::format(
+            "{} datasets of {} samples: {:.1f} a second and {:.1f} MiB in the first tenth, {:.1f} and {:.1f} MiB in "
+            "the "
+            "last\n",
+            b.datasets, b.samples, b.first_per_s, b.first_MiB, b.last_per_s, b.last_MiB);
+    return text;
+}
+
 std::string table(const optim::Report& report) {
     std::string text;
     for (const optim::ChannelReport& channel : report.channels) {

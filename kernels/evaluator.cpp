@@ -156,6 +156,10 @@ struct Evaluator::Impl {
         const std::size_t p = model.parameters.size();
         const std::size_t t = model.terms.size();
         const std::size_t candidates = parameters.size() / p;
+        if (candidates == 0) {
+            out = {};
+            return;
+        }
         rows.resize(candidates * in_stride());
         for (std::size_t i = 0; i < candidates; ++i) {
             double* row = rows.data() + i * in_stride();
@@ -168,7 +172,7 @@ struct Evaluator::Impl {
         kernel.setArg(4, static_cast<cl_int>(candidates));
         kernel.setArg(5, in_buffer);
         kernel.setArg(out_argument, out_buffer);
-        if (candidates > 0) launch(kernel, candidates);
+        launch(kernel, candidates);
         rows.resize(candidates * out_stride());
         download(out_buffer, rows);
 

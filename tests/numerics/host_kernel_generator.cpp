@@ -1,4 +1,5 @@
-// Writes the kernel texts of all built-in models as one C++ source. Call: host_kernel_generator double|single OUTPUT
+// Writes the kernel texts of all built-in models as one C++ source.
+// Call: host_kernel_generator double|single LANES OUTPUT
 
 #include <fstream>
 #include <iostream>
@@ -15,9 +16,9 @@ namespace {
 using namespace brdfit;
 
 /// The model's text in a namespace; macros are undefined behind it.
-void write_model(std::ostream& out, const kernels::Model& model, bool is_double) {
+void write_model(std::ostream& out, const kernels::Model& model, bool is_double, unsigned lanes) {
     const auto precision = is_double ? kernels::Precision::double_precision : kernels::Precision::single_precision;
-    const std::string text = kernels::program_text(model, precision, 1);
+    const std::string text = kernels::program_text(model, precision, lanes);
     std::set<std::string> macros;
     std::istringstream lines(text);
     for (std::string line, word; std::getline(lines, line);) {
@@ -26,8 +27,7 @@ void write_model(std::ostream& out, const kernels::Model& model, bool is_double)
         if (words >> word && word == "#define" && words >> word && word.find('(') == std::string::npos)
             macros.insert(word);
     }
-    out << "namespace " << tests::label(model) << " {\ntypedef " << (is_double ? "double" : "float")
-        << " scalar;\ntypedef scalar real;\ntypedef " << (is_double ? "std::int64_t" : "std::int32_t") << " bits;\n"
+    out << "namespace " << tests::label(model) << " {\n"
         << text << R"(
 std::vector<double> run_terms(std::span<const double> columns, int samples, std::span<const double> parameters) {
     const auto c = narrowed<scalar>(columns), p = narrowed<scalar>(parameters);
@@ -35,6 +35,11 @@ std::vector<double> run_terms(std::span<const double> columns, int samples, std:
     std::vector<scalar> out((std::size_t)(candidates * TERM_VALUES * samples));
     terms(c.data(), samples, candidates, p.data(), out.data());
     return {out.begin(), out.end()};
+}
+void run_project_in_place(bool gradient, const void* columns, const void* y, const void* w, int samples, int candidates,
+                          const void* in, void* scratch, void* out) {
+    (gradient ? project : project_value)((const scalar*)columns, (const scalar*)y, (const scalar*)w, samples, candidates,
+                                         (const scalar*)in, (scalar*)scratch, (scalar*)out);
 }
 std::vector<double> run_project(std::span<const double> columns, std::span<const double> y, std::span<const double> w,
                                 std::span<const double> parameters, std::span<const double> lower,
@@ -49,7 +54,8 @@ std::vector<double> run_project(std::span<const double> columns, std::span<const
     }
     std::vector<scalar> scratch(y.size() * TERM_VALUES);
     std::vector<scalar> out((std::size_t)(candidates * OUT_STRIDE));
-    project(c.data(), ys.data(), ws.data(), (int)y.size(), candidates, in.data(), scratch.data(), out.data());
+    run_project_in_place(true, c.data(), ys.data(), ws.data(), (int)y.size(), candidates, in.data(), scratch.data(),
+                         out.data());
     return {out.begin(), out.end()};
 }
 }
@@ -60,20 +66,22 @@ std::vector<double> run_project(std::span<const double> columns, std::span<const
 }  // namespace
 
 int main(int argc, char** argv) {
-    if (argc != 3) {
-        std::cerr << "usage: host_kernel_generator double|single OUTPUT\n";
+    if (argc != 4) {
+        std::cerr << "usage: host_kernel_generator double|single LANES OUTPUT\n";
         return 2;
     }
     const std::string precision = argv[1];
-    std::ofstream out(argv[2]);
-    out << "#define BRDFIT_HOST_KERNEL\n#include \"tests/numerics/host_kernel.h\"\nnamespace {\n";
-    for (const kernels::Model* model : tests::variants()) write_model(out, *model, precision == "double");
+    const auto lanes = static_cast<unsigned>(std::stoul(argv[2]));
+    std::ofstream out(argv[3]);
+    out << "#define BRDFIT_HOST_KERNEL\n#define REAL_IS_DOUBLE " << (precision == "double" ? 1 : 0)
+        << "\n#define LANES " << lanes << "\n#include \"tests/numerics/host_kernel.h\"\nnamespace {\n";
+    for (const kernels::Model* model : tests::variants()) write_model(out, *model, precision == "double", lanes);
     out << "}\nnamespace brdfit::tests {\nstd::span<const HostKernel> host_kernels_" << precision
         << "() {\n    static const HostKernel all[] = {\n";
     for (const kernels::Model* model : tests::variants()) {
         const std::string name = tests::label(*model);
         out << "        {\"" << name << "\", kernels::Precision::" << precision << "_precision, " << name
-            << "::run_terms, " << name << "::run_project},\n";
+            << "::run_terms, " << name << "::run_project, " << name << "::run_project_in_place},\n";
     }
     out << "    };\n    return all;\n}\n}\n";
     return out.good() ? 0 : 1;
