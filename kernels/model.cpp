@@ -10,6 +10,7 @@
 #include <nlohmann/json.hpp>  // the header of a model file is JSON: the parser we have anyway
 
 #include "kernels/embedded.h"
+#include "kernels/geometry.h"
 #include "kernels/text_place.h"
 
 namespace brdfit::kernels {
@@ -161,6 +162,7 @@ struct Header {
         std::vector<std::string> of, plane;
         std::string degree;
         double pole = 0;
+        std::optional<std::pair<std::size_t, std::size_t>> columns;
         bool repeated = false;
     };
     std::vector<NamedTerm> terms;
@@ -191,6 +193,17 @@ void read_repeated(const json& object, const std::string& file, Header& header) 
     header.repeat = repeat;
 }
 
+std::pair<std::size_t, std::size_t> read_columns(const std::vector<std::string>& names, const std::string& file) {
+    const auto place = [&](const std::string& name) {
+        const auto columns = geometry_columns();
+        const auto it = std::find_if(columns.begin(), columns.end(), [&](const auto& c) { return c.name == name; });
+        if (it == columns.end()) refuse(file, "there is no geometry column \"" + name + "\"");
+        return static_cast<std::size_t>(it - columns.begin());
+    };
+    if (!are_different(names, 2)) refuse(file, "\"columns\" must name two geometry columns");
+    return {place(names[0]), place(names[1])};
+}
+
 Header::NamedTerm read_term(const json& object, const std::string& file) {
     Reader r(object, file, "a term");
     Header::NamedTerm term;
@@ -207,6 +220,7 @@ Header::NamedTerm read_term(const json& object, const std::string& file) {
         h.interval("pole", x, y);
         if (x == 0 && y == 0) refuse(file, "\"homogeneous\" needs a \"pole\" [x, y] other than [0, 0]");
         term.pole = std::atan2(y, x);
+        if (h.optional("columns") != nullptr) term.columns = read_columns(h.texts("columns"), file);
         h.finish();
         const auto depends = [&](const std::string& name) {
             return std::find(term.of.begin(), term.of.end(), name) != term.of.end();
@@ -379,8 +393,10 @@ Model make_variant(const Header& header, std::size_t repeats, const std::string&
             if (!named.factor.empty()) term.factor = resolve(named.factor);
             for (const std::string& name : named.of) term.of.push_back(resolve(name));
             if (!named.plane.empty())
-                term.homogeneous = Term::Homogeneous{
-                    {resolve(named.plane[0]), resolve(named.plane[1])}, resolve(named.degree), named.pole};
+                term.homogeneous = Term::Homogeneous{{resolve(named.plane[0]), resolve(named.plane[1])},
+                                                     resolve(named.degree),
+                                                     named.pole,
+                                                     named.columns};
             model.terms.push_back(std::move(term));
         }
     for (std::size_t i = 0; i < model.parameters.size(); ++i) {

@@ -46,6 +46,8 @@ struct Term {
         std::pair<std::size_t, std::size_t> plane;
         std::size_t degree;
         double pole;
+        /// phi_t = max(0, x a + y b)^degree of these geometry columns a and b, by their places in geometry_columns().
+        std::optional<std::pair<std::size_t, std::size_t>> columns{};
     };
     std::optional<Homogeneous> homogeneous{};
 };

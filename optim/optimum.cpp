@@ -26,8 +26,6 @@ constexpr std::size_t kThinAbove = 6000;
 constexpr std::size_t kThinTo = 2000;
 /// Ends of the quadratic search that the descent for another loss starts from.
 constexpr std::size_t kPolished = 6;
-/// Of NLopt's SLSQP from the best of their ends.
-constexpr int kDescentEvaluations = 500;
 
 /// A point to start from.
 struct Start {
@@ -177,7 +175,8 @@ Optimum better_of(const Optimum& found, Optimum settled) {
 Optimum settled(const Task& task, const std::vector<Interval>& bounds, const Weighted& weighted, Unknowns unknowns,
                 double level, double scale2, const Optimum& found) {
     const kernels::Precision precision = task.engine.best_precision();
-    const SearchSpace space(task.model, bounds, unknowns, task.scale, level, Charts::passed_over);
+    const SearchSpace space(task.model, bounds, unknowns, task.scale, level, Charts::passed_over,
+                            task.directions.directions());
     if (space.dimension() == 0) return found;
     Evaluator evaluator(task.engine, task.model, precision, task.directions, weighted.y, weighted.weight);
     SpaceLoss loss(evaluator, space, scale2, weighted.logarithmic);
@@ -191,31 +190,19 @@ Optimum settled(const Task& task, const std::vector<Interval>& bounds, const Wei
     return better_of(found, std::move(optimum));
 }
 
-/// Descents in all parameters, for a loss that is not quadratic in the coefficients.
-Optimum descend_in_all(const Task& task, const std::vector<Interval>& bounds, double level,
-                       const std::vector<Start>& starts) {
-    constexpr DescentGoal kGoal{1e-11, 1e-26, 200};
-    const SearchSpace space(task.model, bounds, Unknowns::all, task.scale, level);
+/// The search in all parameters, for a loss that is not quadratic in the coefficients.
+Optimum search_in_all(const Task& task, const std::vector<Interval>& bounds, double level,
+                      const std::vector<Start>& starts) {
+    const SearchSpace space(task.model, bounds, Unknowns::all, task.scale, level, Charts::used,
+                            task.directions.directions());
     Evaluator evaluator(task.engine, task.model, task.precision.value_or(task.engine.best_precision()), task.directions,
                         task.weighted.y, task.weighted.weight);
     SpaceLoss loss(evaluator, space, 1, task.weighted.logarithmic);
     std::vector<std::vector<double>> points;
     for (const Start& start : starts) points.push_back(space.coordinates(start.parameters, start.scale));
-    const Landscape landscape = [&](auto at) { return loss.looks(at); };
-    const std::vector<Minimum> ends = descend_together(landscape, points, kGoal, task.control);
-    Minimum best = *std::min_element(ends.begin(), ends.end(),
-                                     [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
-    const auto agreed = std::count_if(ends.begin(), ends.end(), [&](const Minimum& end) {
-        return std::sqrt(end.loss2) <= 1.001 * std::sqrt(best.loss2) + 1e-12;
-    });
-    if (!task.control.over()) {
-        const Objective objective = [&](std::span<const double> u, std::span<double> g) { return loss(u, g); };
-        Minimum further = descend(objective, best.u, kDescentEvaluations, 1e-13, task.control);
-        if (further.loss2 < best.loss2) best = std::move(further);
-    }
-    loss.complete(best);
-    return optimum_at(task, space, best,
-                      {ends.size(), static_cast<std::size_t>(agreed), loss.evaluations(), best.stop, 0});
+    SpaceLoss* const stage = &loss;
+    const SearchResult found = search_space({&stage, 1}, budget(task.effort, space.dimension()), task.control, points);
+    return optimum_at(task, space, found.best, found.record);
 }
 
 }  // namespace
@@ -225,7 +212,8 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
     const Weighted quadratic =
         balanced(task.weighted.logarithmic ? weigh(task.channel, Loss::relative) : task.weighted);
     const double scale2 = quadratic.norm > 0 ? quadratic.norm * quadratic.norm : 1.0;
-    const SearchSpace space(task.model, bounds, Unknowns::nonlinear, task.scale);
+    const SearchSpace space(task.model, bounds, Unknowns::nonlinear, task.scale, 1, Charts::used,
+                            task.directions.directions());
     const kernels::Precision precision = task.precision.value_or(task.engine.best_precision());
     std::list<Evaluator> evaluators;  // losses keep references
     std::list<SpaceLoss> losses;
@@ -270,7 +258,7 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
     const Levels levels = levels_of(task);
     add_lit(task, bounds, levels, starts);
     const double level = 0.1 * levels.least;
-    optimum = descend_in_all(task, bounds, level, starts);
+    optimum = search_in_all(task, bounds, level, starts);
     optimum.record.evaluations += found.record.evaluations;
     if (!task.control.over()) optimum = settled(task, bounds, task.weighted, Unknowns::all, level, 1, optimum);
     return optimum;

@@ -179,6 +179,8 @@ constexpr DescentGoal kExactGoal{1e-11, 1e-26, 100};
 constexpr std::size_t kExchangeStarts = 3;
 /// Rounds of exchanges, while each gains.
 constexpr int kExchangeRounds = 4;
+/// Of NLopt's SLSQP where a descent has not converged.
+constexpr int kFurtherEvaluations = 300;
 /// Ends whose loss^2 is this near to the best are worth polishing ...
 constexpr double kPolishWithin = 1.05;
 /// ... so many of them.
@@ -379,6 +381,21 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
         descend_from(*stage, from);
     }
     result.best = ends.front();
+    if (!seeds.empty()) {  // which a coarse stage may have passed over
+        const std::vector<double> values = exact.screen(seeds, control);
+        const auto least = std::min_element(values.begin(), values.end());
+        if (*least < result.best.loss2) {
+            ends.clear();
+            descend_from(exact, {seeds[static_cast<std::size_t>(least - values.begin())]});
+            result.best = ends.front();
+        }
+    }
+    if (result.best.stop != StopReason::converged && !control.over()) {
+        // At a kink or in round-off another method may still find a way.
+        const Objective objective = [&](std::span<const double> u, std::span<double> g) { return exact(u, g); };
+        Minimum further = descend(objective, result.best.u, kFurtherEvaluations, 1e-13, control);
+        if (further.loss2 < result.best.loss2) result.best = std::move(further);
+    }
     // Of what a thinner or coarser loss has found only its own losses are known.
     const double agreed = std::sqrt(searched.front().loss2) * 1.001 + 1e-6;
     result.record.starts = searched.size();

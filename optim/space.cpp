@@ -7,6 +7,11 @@
 #include <numeric>
 #include <optional>
 
+#include <boost/geometry.hpp>  // the convex hull of the samples' columns
+#include <boost/geometry/geometries/multi_point.hpp>
+#include <boost/geometry/geometries/point_xy.hpp>
+#include <boost/geometry/geometries/polygon.hpp>
+
 namespace brdfit::optim {
 namespace {
 
@@ -215,15 +220,18 @@ private:
     Interval n_bounds_, k_bounds_;
 };
 
-/// The direction of a homogeneous pair: (x, y) = R (cos psi, sin psi)/max(|cos psi|, |sin psi|), with height R^degree =
-/// c; so a lobe of height 1 peaks at 1 or less whatever its degree. A narrow lobe's height follows its direction as
-/// exp(degree (psi - pole)), so the coordinate is t with psi = pole + 2 atan(sinh(t)/(1 + degree)): what is a funnel in
-/// psi is a straight channel in t. With a level the height is a second coordinate, else a coefficient to solve for.
+/// The direction of a homogeneous pair: (x, y) = R (cos psi, sin psi)/S(psi), with height R^degree = c. S is the
+/// largest cos psi a + sin psi b over the samples' columns a and b, so that a lobe of height 1 peaks at 1 whatever its
+/// degree (and where no sample sees it to speak of, a little of what the largest columns give). A narrow lobe's height
+/// follows its direction as exp(degree (psi - pole)), so the coordinate is t with psi = pole + 2 atan(sinh(t)/(1 +
+/// degree)): what is a funnel in psi is a straight channel in t. With a level the height is a second coordinate, else a
+/// coefficient to solve for.
 class DirectionAxis final : public Axis {
 public:
     DirectionAxis(std::size_t term, const Term::Homogeneous& homogeneous, Interval x, Interval y,
-                  std::optional<double> level)
-        : term_(term),
+                  std::optional<double> level, std::span<const kernels::Direction> seen)
+        : hull_(hull(homogeneous, seen)),
+          term_(term),
           x_(homogeneous.plane.first),
           y_(homogeneous.plane.second),
           degree_(homogeneous.degree),
@@ -242,9 +250,9 @@ public:
     void apply(std::span<const double> u, Candidate& out) const override {
         const double degree = out.parameters[degree_];
         const double psi = angle(u[0], degree);
-        const double largest = std::max(std::abs(std::cos(psi)), std::abs(std::sin(psi)));
-        const double x = out.parameters[x_] = std::cos(psi) / largest;
-        const double y = out.parameters[y_] = std::sin(psi) / largest;
+        const Support support = support_along(std::cos(psi), std::sin(psi));
+        const double x = out.parameters[x_] = std::cos(psi) / support.value;
+        const double y = out.parameters[y_] = std::sin(psi) / support.value;
         const double length = longest_along(x, y).length;
         out.lower[term_] = std::exp(degree * kLogSmallestLength);
         out.upper[term_] = std::exp(degree * std::log(length));
@@ -288,7 +296,8 @@ public:
         const double t = std::asinh(std::tan(away / 2) * (1 + parameters[degree_]));
         u[0] = std::clamp(0.5 + 0.5 * t / kReach, 0.0, 1.0);
         if (!height_) return;
-        const double length = std::max(std::abs(parameters[x_]), std::abs(parameters[y_]));
+        const double norm = std::hypot(parameters[x_], parameters[y_]);
+        const double length = norm > 0 ? norm * support_along(parameters[x_] / norm, parameters[y_] / norm).value : 0.0;
         u[1] = height_->place(std::pow(length, parameters[degree_]));
     }
     [[nodiscard]] std::vector<Interval> typical() const override {
@@ -300,10 +309,51 @@ private:
     /// Largest |t|: reaches to within 10 degrees of the pole's opposite at degree 1e4.
     static constexpr double kReach = 12;
 
-    /// d/d psi of (x, y) = (cos psi, sin psi)/max(|cos psi|, |sin psi|), applied to the slopes by x and y.
+    /// Where the columns of the samples end: the vertices that may be farthest along a direction.
+    struct Vertex {
+        double a, b;
+    };
+    static std::vector<Vertex> hull(const Term::Homogeneous& homogeneous, std::span<const kernels::Direction> seen) {
+        if (!homogeneous.columns || seen.empty()) return {{1, 0}, {0, 1}, {-1, 0}, {0, -1}};
+        const auto columns = kernels::geometry_columns();
+        using Point = boost::geometry::model::d2::point_xy<double>;
+        boost::geometry::model::multi_point<Point> points;
+        constexpr std::size_t kEnough = 4000;  // to see where the columns end, or nearly
+        for (std::size_t j = 0; j < seen.size(); j += 1 + seen.size() / kEnough) {
+            const kernels::Angles angles(canonical(seen[j]));
+            points.emplace_back(
+                columns[homogeneous.columns->first].read(angles, kernels::Precision::double_precision),
+                columns[homogeneous.columns->second].read(angles, kernels::Precision::double_precision));
+        }
+        boost::geometry::model::polygon<Point> polygon;
+        boost::geometry::convex_hull(points, polygon);
+        std::vector<Vertex> vertices;
+        for (const Point& point : polygon.outer()) vertices.push_back({point.x(), point.y()});
+        return vertices;
+    }
+    /// S at (cos, sin) and dS/d psi.
+    struct Support {
+        double value, slope;
+    };
+    [[nodiscard]] Support support_along(double cosine, double sine) const {
+        constexpr double kUnseen = 1e-3;
+        Support support{0, 0};
+        double largest = 0;
+        for (const Vertex& v : hull_) {
+            largest = std::max({largest, std::abs(v.a), std::abs(v.b)});
+            const double value = cosine * v.a + sine * v.b;
+            if (value > support.value) support = {value, cosine * v.b - sine * v.a};
+        }
+        const double least = largest > 0 ? kUnseen * largest : 1.0;
+        return support.value > least ? support : Support{least, 0};
+    }
+
+    /// d/d psi of (x, y) = (cos psi, sin psi)/S, applied to the slopes by x and y.
     [[nodiscard]] double by_angle(double x, double y, std::span<const double> by_parameter) const {
-        return std::abs(x) >= std::abs(y) ? std::copysign(1 + y * y, x) * by_parameter[y_]
-                                          : -std::copysign(1 + x * x, y) * by_parameter[x_];
+        const double norm = std::hypot(x, y);
+        const Support support = support_along(x / norm, y / norm);
+        const double shrinks = support.slope / support.value;
+        return (-y - x * shrinks) * by_parameter[x_] + (x - y * shrinks) * by_parameter[y_];
     }
     static double half_tangent(double u, double degree) { return std::sinh(kReach * (2 * u - 1)) / (1 + degree); }
     [[nodiscard]] double angle(double u, double degree) const { return pole_ + 2 * std::atan(half_tangent(u, degree)); }
@@ -322,6 +372,7 @@ private:
         const Longest longest = longest_along(at.parameters[x_], at.parameters[y_]);
         return height_->value(u[1]) > std::exp(at.parameters[degree_] * std::log(longest.length));
     }
+    std::vector<Vertex> hull_;
     std::size_t term_, x_, y_, degree_;
     double pole_;
     Interval x_bounds_, y_bounds_;
@@ -331,7 +382,7 @@ private:
 }  // namespace
 
 SearchSpace::SearchSpace(const Model& model, std::vector<Interval> bounds, Unknowns unknowns, ScaleRange scale,
-                         double level, Charts charts)
+                         double level, Charts charts, std::span<const kernels::Direction> seen)
     : model_(model), nonlinear_(model.nonlinear()), bounds_(std::move(bounds)), unknowns_(unknowns), scale_(scale) {
     const bool all = unknowns == Unknowns::all;
     std::vector<bool> taken(model.parameters.size(), false);
@@ -356,7 +407,7 @@ SearchSpace::SearchSpace(const Model& model, std::vector<Interval> bounds, Unkno
         taken[x] = taken[y] = true;
         their_lobes.push_back(model.parameters[x].repeat);
         directions.push_back(std::make_unique<DirectionAxis>(t, *homogeneous, bounds_[x], bounds_[y],
-                                                             all ? std::optional(level) : std::nullopt));
+                                                             all ? std::optional(level) : std::nullopt, seen));
     }
     for (std::size_t i = 0; i < taken.size(); ++i) {
         if (taken[i]) continue;

@@ -7,6 +7,7 @@
 #include <span>
 #include <vector>
 
+#include "kernels/geometry.h"
 #include "kernels/model.h"
 
 namespace brdfit::optim {
@@ -53,10 +54,12 @@ enum class Charts { used, passed_over };
 /// leave them whole.
 class SearchSpace {
 public:
-    /// bounds: one for each parameter of the model. level > 0, with Unknowns::all: coefficients and heights are even
-    /// below it, and above in their logarithm.
+    /// bounds: one for each parameter of the model. seen: the samples' directions, by which a lobe's height is that of
+    /// its highest value there. level > 0, with Unknowns::all: coefficients and heights are even below it, and above in
+    /// their logarithm.
     SearchSpace(const kernels::Model& model, std::vector<Interval> bounds, Unknowns unknowns = Unknowns::nonlinear,
-                ScaleRange scale = {}, double level = 1, Charts charts = Charts::used);
+                ScaleRange scale = {}, double level = 1, Charts charts = Charts::used,
+                std::span<const kernels::Direction> seen = {});
     ~SearchSpace();
     SearchSpace(SearchSpace&&) noexcept;
 

@@ -19,7 +19,7 @@
     {"name": "lobe", "of": ["sigma", "tau", "n", "k"]}
   ],
   "charts": [{"kind": "complex_index", "parameters": ["n", "k"]}],
-  "special_cases": [{"name": "real index", "fixed": {"k": 0}}],
+  "special_cases": [{"name": "real index", "fixed": {"k": 0}}, {"name": "no lobe", "fixed": {"n": 1, "k": 0}}],
   "traits": {"reciprocal": true, "energy_conserving": false}
 }*/
 

@@ -18,7 +18,8 @@
   },
   "terms": [
     {"name": "diffuse", "factor": "k_d"},
-    {"name": "lobe", "of": ["c_xy", "c_z", "n"], "homogeneous": {"in": ["c_xy", "c_z"], "degree": "n", "pole": [-1, 1]}}
+    {"name": "lobe", "of": ["c_xy", "c_z", "n"], "homogeneous": {"in": ["c_xy", "c_z"], "degree": "n", "pole": [-1, 1],
+     "columns": ["hxy", "hz"]}}
   ],
   "traits": {"reciprocal": true, "energy_conserving": false}
 }*/

@@ -27,9 +27,11 @@ void check(const kernels::Model& model) {
         fuzz::require(std::set(term.of.begin(), term.of.end()).size() == term.of.size(), "a slope twice");
         for (const std::size_t i : term.of) fuzz::require(i < n && !model.is_linear(i), "what a term depends on");
         if (!term.homogeneous) continue;
-        const auto& [plane, degree, pole] = *term.homogeneous;
+        const auto& [plane, degree, pole, columns] = *term.homogeneous;
         fuzz::require(std::set{plane.first, plane.second, degree}.size() == 3, "a plane and its degree");
         fuzz::require(std::isfinite(pole), "a pole");
+        fuzz::require(!columns || std::max(columns->first, columns->second) < kernels::geometry_columns().size(),
+                      "geometry columns");
     }
     fuzz::require(model.group_begin + model.repeats * model.group_size == n, "the group stands last");
     fuzz::require(model.repeats == 0 || model.order_by < model.group_size, "lobes are ordered by one of theirs");
