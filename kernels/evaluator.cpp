@@ -6,6 +6,11 @@
 #include <mutex>
 #include <tuple>
 
+#include <boost/geometry.hpp>  // the convex hull of the samples' columns
+#include <boost/geometry/geometries/multi_point.hpp>
+#include <boost/geometry/geometries/point_xy.hpp>
+#include <boost/geometry/geometries/polygon.hpp>
+
 #include "kernels/engine_impl.h"
 
 namespace brdfit::kernels {
@@ -30,15 +35,12 @@ struct DirectionSet::Impl {
         cl::Buffer& buffer = buffers[{shared.context(), precision, padded}];
         if (buffer() != nullptr) return buffer;
         const auto table = geometry_columns();
-        std::vector<double> values(table.size() * padded);
-        for (std::size_t j = 0; j < padded; ++j) {
-            if (j >= directions.size() && j > 0) {
-                for (std::size_t i = 0; i < table.size(); ++i) values[i * padded + j] = values[i * padded + j - 1];
-                continue;
-            }
-            const Angles angles(canonical(directions.empty() ? Direction{} : directions[j]));
-            for (std::size_t i = 0; i < table.size(); ++i) values[i * padded + j] = table[i].read(angles, precision);
-        }
+        const std::vector<long double>& unrounded = exact_columns();
+        const std::size_t n = unrounded.size() / table.size();
+        std::vector<double> values;
+        for (std::size_t i = 0; i < table.size(); ++i)
+            for (std::size_t j = 0; j < padded; ++j)
+                values.push_back(table[i].rounded(unrounded[i * n + std::min(j, n - 1)], precision));
         cl::Buffer made(shared.context, CL_MEM_READ_ONLY, std::max<std::size_t>(1, values.size()) * size_of(precision));
         if (!values.empty()) {
             if (precision == Precision::double_precision) {
@@ -51,14 +53,52 @@ struct DirectionSet::Impl {
         return buffer = made;
     }
 
+    std::vector<std::pair<double, double>> hull(std::size_t a, std::size_t b) {
+        const std::lock_guard lock(mutex);
+        std::vector<std::pair<double, double>>& corners = hulls[{a, b}];
+        if (!corners.empty()) return corners;
+        constexpr std::size_t kEnough = 4000;
+        const std::vector<long double>& unrounded = exact_columns();
+        const std::size_t n = unrounded.size() / geometry_columns().size();
+        using Point = boost::geometry::model::d2::point_xy<double>;
+        boost::geometry::model::multi_point<Point> points;
+        for (std::size_t j = 0; j < n; j += 1 + n / kEnough)
+            points.emplace_back(static_cast<double>(unrounded[a * n + j]), static_cast<double>(unrounded[b * n + j]));
+        boost::geometry::model::polygon<Point> polygon;
+        boost::geometry::convex_hull(points, polygon);
+        for (const Point& point : polygon.outer()) corners.emplace_back(point.x(), point.y());
+        return corners;
+    }
+
     std::vector<Direction> directions;
-    std::mutex mutex;  // guards buffers
+
+private:
+    /// Every column's exact value at every direction, or at one of no interest where there is none. With the lock held.
+    const std::vector<long double>& exact_columns() {
+        if (!exact.empty()) return exact;
+        const auto table = geometry_columns();
+        const std::size_t n = std::max<std::size_t>(1, directions.size());
+        exact.resize(table.size() * n);
+        for (std::size_t j = 0; j < n; ++j) {
+            const Angles angles(canonical(directions.empty() ? Direction{} : directions[j]));
+            for (std::size_t i = 0; i < table.size(); ++i) exact[i * n + j] = table[i].value(angles);
+        }
+        return exact;
+    }
+
+    std::mutex mutex;  // guards what follows
+    std::vector<long double> exact;
+    std::map<std::pair<std::size_t, std::size_t>, std::vector<std::pair<double, double>>> hulls;
     std::map<std::tuple<cl_context, Precision, std::size_t>, cl::Buffer> buffers;
 };
 
 DirectionSet::DirectionSet(std::vector<Direction> directions) : impl_(std::make_shared<Impl>(std::move(directions))) {}
 
 std::span<const Direction> DirectionSet::directions() const { return impl_->directions; }
+
+std::vector<std::pair<double, double>> DirectionSet::hull(std::size_t a, std::size_t b) const {
+    return impl_->hull(a, b);
+}
 
 /// Buffers hold `scalar`s; the host side is double. One conversion each way, here.
 struct Evaluator::Impl {

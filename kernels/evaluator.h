@@ -3,6 +3,7 @@
 
 #include <memory>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "kernels/engine.h"
@@ -17,6 +18,9 @@ class DirectionSet {
 public:
     DirectionSet(std::vector<Direction> directions);  // NOLINT(google-explicit-constructor): it is a list of directions
     [[nodiscard]] std::span<const Direction> directions() const;
+    /// The corners of the smallest convex polygon about the points (a, b) of two geometry columns, given by their
+    /// places in geometry_columns(); of many directions about 4000 are looked at.
+    [[nodiscard]] std::vector<std::pair<double, double>> hull(std::size_t a, std::size_t b) const;
 
     struct Impl;
     [[nodiscard]] Impl& impl() const { return *impl_; }

@@ -93,11 +93,10 @@ Direction canonical(const Direction& direction) {
     return d;
 }
 
-double GeometryColumn::read(const Angles& angles, Precision precision) const {
-    const long double exact = value(angles);
+double GeometryColumn::rounded(long double exact, Precision precision) const {
     const bool single = precision == Precision::single_precision;
-    const double rounded = single ? static_cast<double>(static_cast<float>(exact)) : static_cast<double>(exact);
-    return part == Part::rounded ? rounded : static_cast<double>(exact - rounded);
+    const double nearest = single ? static_cast<double>(static_cast<float>(exact)) : static_cast<double>(exact);
+    return part == Part::rounded ? nearest : static_cast<double>(exact - nearest);
 }
 
 std::span<const GeometryColumn> geometry_columns() { return kColumns; }

@@ -44,8 +44,11 @@ struct GeometryColumn {
     long double (*value)(const Angles&);  ///< without cancellation
     Part part = Part::rounded;
 
-    /// What kernels of a precision read.
-    [[nodiscard]] double read(const Angles& angles, Precision precision) const;
+    /// What kernels of a precision read of value().
+    [[nodiscard]] double rounded(long double exact, Precision precision) const;
+    [[nodiscard]] double read(const Angles& angles, Precision precision) const {
+        return rounded(value(angles), precision);
+    }
 };
 
 /// All columns, in the order of the struct's members.

@@ -175,8 +175,7 @@ Optimum better_of(const Optimum& found, Optimum settled) {
 Optimum settled(const Task& task, const std::vector<Interval>& bounds, const Weighted& weighted, Unknowns unknowns,
                 double level, double scale2, const Optimum& found) {
     const kernels::Precision precision = task.engine.best_precision();
-    const SearchSpace space(task.model, bounds, unknowns, task.scale, level, Charts::passed_over,
-                            task.directions.directions());
+    const SearchSpace space(task.model, bounds, unknowns, task.scale, level, Charts::passed_over, &task.directions);
     if (space.dimension() == 0) return found;
     Evaluator evaluator(task.engine, task.model, precision, task.directions, weighted.y, weighted.weight);
     SpaceLoss loss(evaluator, space, scale2, weighted.logarithmic);
@@ -193,8 +192,7 @@ Optimum settled(const Task& task, const std::vector<Interval>& bounds, const Wei
 /// The search in all parameters, for a loss that is not quadratic in the coefficients.
 Optimum search_in_all(const Task& task, const std::vector<Interval>& bounds, double level,
                       const std::vector<Start>& starts) {
-    const SearchSpace space(task.model, bounds, Unknowns::all, task.scale, level, Charts::used,
-                            task.directions.directions());
+    const SearchSpace space(task.model, bounds, Unknowns::all, task.scale, level, Charts::used, &task.directions);
     Evaluator evaluator(task.engine, task.model, task.precision.value_or(task.engine.best_precision()), task.directions,
                         task.weighted.y, task.weighted.weight);
     SpaceLoss loss(evaluator, space, 1, task.weighted.logarithmic);
@@ -212,8 +210,7 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
     const Weighted quadratic =
         balanced(task.weighted.logarithmic ? weigh(task.channel, Loss::relative) : task.weighted);
     const double scale2 = quadratic.norm > 0 ? quadratic.norm * quadratic.norm : 1.0;
-    const SearchSpace space(task.model, bounds, Unknowns::nonlinear, task.scale, 1, Charts::used,
-                            task.directions.directions());
+    const SearchSpace space(task.model, bounds, Unknowns::nonlinear, task.scale, 1, Charts::used, &task.directions);
     const kernels::Precision precision = task.precision.value_or(task.engine.best_precision());
     std::list<Evaluator> evaluators;  // losses keep references
     std::list<SpaceLoss> losses;

@@ -7,11 +7,6 @@
 #include <numeric>
 #include <optional>
 
-#include <boost/geometry.hpp>  // the convex hull of the samples' columns
-#include <boost/geometry/geometries/multi_point.hpp>
-#include <boost/geometry/geometries/point_xy.hpp>
-#include <boost/geometry/geometries/polygon.hpp>
-
 namespace brdfit::optim {
 namespace {
 
@@ -229,7 +224,7 @@ private:
 class DirectionAxis final : public Axis {
 public:
     DirectionAxis(std::size_t term, const Term::Homogeneous& homogeneous, Interval x, Interval y,
-                  std::optional<double> level, std::span<const kernels::Direction> seen)
+                  std::optional<double> level, const kernels::DirectionSet* seen)
         : hull_(hull(homogeneous, seen)),
           term_(term),
           x_(homogeneous.plane.first),
@@ -313,22 +308,11 @@ private:
     struct Vertex {
         double a, b;
     };
-    static std::vector<Vertex> hull(const Term::Homogeneous& homogeneous, std::span<const kernels::Direction> seen) {
-        if (!homogeneous.columns || seen.empty()) return {{1, 0}, {0, 1}, {-1, 0}, {0, -1}};
-        const auto columns = kernels::geometry_columns();
-        using Point = boost::geometry::model::d2::point_xy<double>;
-        boost::geometry::model::multi_point<Point> points;
-        constexpr std::size_t kEnough = 4000;  // to see where the columns end, or nearly
-        for (std::size_t j = 0; j < seen.size(); j += 1 + seen.size() / kEnough) {
-            const kernels::Angles angles(canonical(seen[j]));
-            points.emplace_back(
-                columns[homogeneous.columns->first].read(angles, kernels::Precision::double_precision),
-                columns[homogeneous.columns->second].read(angles, kernels::Precision::double_precision));
-        }
-        boost::geometry::model::polygon<Point> polygon;
-        boost::geometry::convex_hull(points, polygon);
+    static std::vector<Vertex> hull(const Term::Homogeneous& homogeneous, const kernels::DirectionSet* seen) {
+        if (!homogeneous.columns || seen == nullptr) return {{1, 0}, {0, 1}, {-1, 0}, {0, -1}};
         std::vector<Vertex> vertices;
-        for (const Point& point : polygon.outer()) vertices.push_back({point.x(), point.y()});
+        for (const auto& [a, b] : seen->hull(homogeneous.columns->first, homogeneous.columns->second))
+            vertices.push_back({a, b});
         return vertices;
     }
     /// S at (cos, sin) and dS/d psi.
@@ -382,7 +366,7 @@ private:
 }  // namespace
 
 SearchSpace::SearchSpace(const Model& model, std::vector<Interval> bounds, Unknowns unknowns, ScaleRange scale,
-                         double level, Charts charts, std::span<const kernels::Direction> seen)
+                         double level, Charts charts, const kernels::DirectionSet* seen)
     : model_(model), nonlinear_(model.nonlinear()), bounds_(std::move(bounds)), unknowns_(unknowns), scale_(scale) {
     const bool all = unknowns == Unknowns::all;
     std::vector<bool> taken(model.parameters.size(), false);

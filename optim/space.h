@@ -7,7 +7,7 @@
 #include <span>
 #include <vector>
 
-#include "kernels/geometry.h"
+#include "kernels/evaluator.h"
 #include "kernels/model.h"
 
 namespace brdfit::optim {
@@ -59,7 +59,7 @@ public:
     /// their logarithm.
     SearchSpace(const kernels::Model& model, std::vector<Interval> bounds, Unknowns unknowns = Unknowns::nonlinear,
                 ScaleRange scale = {}, double level = 1, Charts charts = Charts::used,
-                std::span<const kernels::Direction> seen = {});
+                const kernels::DirectionSet* seen = nullptr);
     ~SearchSpace();
     SearchSpace(SearchSpace&&) noexcept;
 
