@@ -199,8 +199,9 @@ void Engine::build_ahead(std::span<const Family> families, std::span<const Preci
         for (const Model& model : family.variants)
             for (const Precision precision : precisions) {
                 sources.push_back(impl_->source(model, precision, Accuracy::full));
-                if (model.sums_series() && usable() && precision == best_precision())  // what its searches use
-                    sources.push_back(impl_->source(model, quickest_precision(), Accuracy::search));
+                if (usable() && precision == best_precision())  // what its searches use
+                    sources.push_back(impl_->source(model, quickest_precision(),
+                                                    model.sums_series() ? Accuracy::search : Accuracy::full));
             }
     impl_->builder->build_ahead(sources);
 }

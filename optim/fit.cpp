@@ -523,7 +523,8 @@ void Fitter::warm_up(const kernels::Family& family) {
     };
     for (const Model& model : family.variants) {
         run(model, engine_.best_precision(), kernels::Accuracy::full);
-        if (model.sums_series()) run(model, engine_.quickest_precision(), kernels::Accuracy::search);
+        run(model, engine_.quickest_precision(),
+            model.sums_series() ? kernels::Accuracy::search : kernels::Accuracy::full);
     }
 }
 

@@ -199,7 +199,8 @@ Optimum search_in_all(const Task& task, const std::vector<Interval>& bounds, dou
     std::vector<std::vector<double>> points;
     for (const Start& start : starts) points.push_back(space.coordinates(start.parameters, start.scale));
     SpaceLoss* const stage = &loss;
-    const SearchResult found = search_space({&stage, 1}, budget(task.effort, space.dimension()), task.control, points);
+    const SearchResult found =
+        search_space({&stage, 1}, budget(task.effort, space.dimension(), task.model.repeats), task.control, points);
     return optimum_at(task, space, found.best, found.record);
 }
 
@@ -220,9 +221,10 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
         evaluators.emplace_back(task.engine, task.model, arithmetic, directions, data.y, data.weight, accuracy);
         stages.push_back(&losses.emplace_back(evaluators.back(), space, scale2));
     };
-    const bool coarse = !task.precision && task.model.sums_series();
+    const bool series = task.model.sums_series();
+    const bool coarse = !task.precision && (series || space.dimension() > 1);
     const kernels::Precision quick = coarse ? task.engine.quickest_precision() : precision;
-    const kernels::Accuracy accuracy = coarse ? kernels::Accuracy::search : kernels::Accuracy::full;
+    const kernels::Accuracy accuracy = coarse && series ? kernels::Accuracy::search : kernels::Accuracy::full;
     if (quadratic.y.size() > kThinAbove) {
         const Thinned thin = thinned(quadratic, task.directions.directions(), task.control.seed);
         add_stage(quick, accuracy, thin.directions, thin.data);
@@ -236,7 +238,8 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
         const Start start = extended(task.model, *smaller);
         seeds.push_back(space.coordinates(start.parameters, start.scale));
     }
-    SearchResult found = search_space(stages, budget(task.effort, space.dimension()), task.control, seeds);
+    SearchResult found =
+        search_space(stages, budget(task.effort, space.dimension(), task.model.repeats), task.control, seeds);
     found.best.loss2 /= scale2;
     Optimum optimum = optimum_at(task, space, found.best, found.record);
     if (!task.weighted.logarithmic) {

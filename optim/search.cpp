@@ -175,14 +175,12 @@ std::vector<Minimum> distinct_ends(const std::vector<Minimum>& ends, double clos
 /// Descents stop short of what the arithmetic of a search can tell.
 constexpr DescentGoal kQuickGoal{1e-5, 1e-12, 60};
 constexpr DescentGoal kExactGoal{1e-11, 1e-26, 100};
-/// Starts of each block of an exchange.
-constexpr std::size_t kExchangeStarts = 3;
 /// Rounds of exchanges, while each gains.
 constexpr int kExchangeRounds = 4;
-/// Of NLopt's SLSQP where a descent has not converged.
+/// Of NLopt's SLSQP from each of the last ends, in all parameters.
 constexpr int kFurtherEvaluations = 300;
 /// Ends whose loss^2 is this near to the best are worth polishing ...
-constexpr double kPolishWithin = 1.05;
+constexpr double kPolishWithin = 1.02;
 /// ... so many of them.
 constexpr std::size_t kPolished = 3;
 
@@ -212,13 +210,20 @@ std::vector<std::vector<double>> best_distinct(const std::vector<std::vector<dou
     return chosen;
 }
 
-SearchBudget budget(Effort effort, std::size_t dimension) {
-    const std::size_t factor = effort == Effort::thorough ? 8 : 1;
-    const int global = effort == Effort::thorough ? 500 : 0;
-    if (dimension <= 1) return {48 * factor, 4 * factor, 0, 0, global};
-    const SearchBudget standard{32 * factor * dimension, 2 * factor * dimension, 2 * factor, 48 * factor, global};
-    if (effort != Effort::draft) return standard;
-    return {standard.screened / 2, standard.starts / 2, 0, 0, 0};
+SearchBudget budget(Effort effort, std::size_t dimension, std::size_t lobes) {
+    const bool thorough = effort == Effort::thorough;
+    const std::size_t factor = thorough ? 8 : 1;
+    const int global = thorough ? 500 : 0;
+    if (dimension <= 1) return {48 * factor, 4 * factor, 0, 0, 0, global};
+    // Lobes are apt to change places with noise.
+    SearchBudget result{24 * dimension, 2 * dimension, 1, 32, 2, global};
+    if (lobes > 1) result = {32 * dimension, 2 * dimension, 3, 128, 3, global};
+    if (effort == Effort::draft) return {result.screened / 2, result.starts / 2, 0, 0, 0, 0};
+    result.screened *= factor;
+    result.starts *= factor;
+    if (thorough) result.bases *= 4;
+    if (thorough) result.exchanged *= 2;
+    return result;
 }
 
 void SpaceLoss::evaluate(std::span<const std::vector<double>> points, bool gradient) {
@@ -361,7 +366,7 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
         for (const Minimum& base : about)
             for (const auto& block : blocks) {
                 const auto fresh = exchanged_points(space, base.u, block, budget.exchanged, ++seed);
-                for (auto& start : best_distinct(fresh, quick.screen(fresh, control), kExchangeStarts))
+                for (auto& start : best_distinct(fresh, quick.screen(fresh, control), budget.exchange_starts))
                     next.push_back(std::move(start));
             }
         descend_from(quick, next);
@@ -380,6 +385,13 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
         ends.clear();
         descend_from(*stage, from);
     }
+    if (space.unknowns() == Unknowns::all && !control.over()) {  // not of squares that are small: NLopt may know better
+        const Objective objective = [&](std::span<const double> u, std::span<double> g) { return exact(u, g); };
+        for (const Minimum& end : std::vector<Minimum>(ends))
+            ends.push_back(descend(objective, end.u, kFurtherEvaluations, 1e-13, control));
+        std::stable_sort(ends.begin(), ends.end(),
+                         [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
+    }
     result.best = ends.front();
     if (!seeds.empty()) {  // which a coarse stage may have passed over
         const std::vector<double> values = exact.screen(seeds, control);
@@ -389,12 +401,6 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
             descend_from(exact, {seeds[static_cast<std::size_t>(least - values.begin())]});
             result.best = ends.front();
         }
-    }
-    if (result.best.stop != StopReason::converged && !control.over()) {
-        // At a kink or in round-off another method may still find a way.
-        const Objective objective = [&](std::span<const double> u, std::span<double> g) { return exact(u, g); };
-        Minimum further = descend(objective, result.best.u, kFurtherEvaluations, 1e-13, control);
-        if (further.loss2 < result.best.loss2) result.best = std::move(further);
     }
     // Of what a thinner or coarser loss has found only its own losses are known.
     const double agreed = std::sqrt(searched.front().loss2) * 1.001 + 1e-6;

@@ -23,17 +23,18 @@ public:
 
 /// How much a search may spend.
 struct SearchBudget {
-    std::size_t screened = 0;    ///< candidates of a low-discrepancy set, evaluated in one batch
-    std::size_t starts = 0;      ///< the best distinct ones, from which descents start
-    std::size_t bases = 0;       ///< the best distinct ends about which blocks of coordinates are exchanged
-    std::size_t exchanged = 0;   ///< candidates for each block
-    int global_evaluations = 0;  ///< of NLopt's global method
+    std::size_t screened = 0;         ///< candidates of a low-discrepancy set, evaluated in one batch
+    std::size_t starts = 0;           ///< the best distinct ones, from which descents start
+    std::size_t bases = 0;            ///< the best distinct ends about which blocks of coordinates are exchanged
+    std::size_t exchanged = 0;        ///< candidates for each block, ...
+    std::size_t exchange_starts = 0;  ///< the best distinct of which descend
+    int global_evaluations = 0;       ///< of NLopt's global method
 };
 
 enum class Effort { draft, standard, thorough };
 
-/// Budget for a space of that dimension.
-SearchBudget budget(Effort effort, std::size_t dimension);
+/// Budget for a space of that dimension and a model with so many lobes (0 or 1 without).
+SearchBudget budget(Effort effort, std::size_t dimension, std::size_t lobes);
 
 struct SearchControl {
     std::uint64_t seed = 1;  ///< shifts the low-discrepancy set
