@@ -17,7 +17,7 @@
 #define IN_STRIDE (PARAMETERS + 2 * TERMS)
 #define OUT_STRIDE (1 + 2 * TERMS + PARAMETERS + NORMALS)
 
-inline Params broadcast_parameters(global const scalar *parameters) {
+INLINED Params broadcast_parameters(global const scalar *parameters) {
     Params p;
     real *value = (real *)&p;
     UNROLLED
@@ -25,7 +25,7 @@ inline Params broadcast_parameters(global const scalar *parameters) {
     return p;
 }
 
-inline Geometry load_geometry(global const scalar *columns, int samples, int first) {
+INLINED Geometry load_geometry(global const scalar *columns, int samples, int first) {
     Geometry s;
     real *value = (real *)&s;
     UNROLLED
@@ -34,7 +34,7 @@ inline Geometry load_geometry(global const scalar *columns, int samples, int fir
 }
 
 /* Place of an element of a symmetric matrix that is stored as its upper triangle, row by row. */
-inline int gram_index(int row, int column) {
+INLINED int gram_index(int row, int column) {
     const int i = row < column ? row : column;
     const int j = row < column ? column : row;
     return i * TERMS - i * (i - 1) / 2 + (j - i);
@@ -160,7 +160,7 @@ typedef struct {
     real loss, by_unknown[UNKNOWNS], normal[NORMALS];
 } Sums;
 
-inline void clear_sums(Sums *sums) {
+INLINED void clear_sums(Sums *sums) {
     sums->loss = 0.0;
     UNROLLED
     for (int i = 0; i < UNKNOWNS; ++i) sums->by_unknown[i] = 0.0;
@@ -169,7 +169,7 @@ inline void clear_sums(Sums *sums) {
 }
 
 /* residual = f - y, or ln f - y with y = ln of the measured value. A value that underflowed counts as the smallest. */
-inline void add_sample(const real *term, const scalar *c, real y, real w, int logarithmic, int gradient, Sums *sums) {
+INLINED void add_sample(const real *term, const scalar *c, real y, real w, int logarithmic, int gradient, Sums *sums) {
     real f = 0.0;
     UNROLLED
     for (int t = 0; t < TERMS; ++t) f += c[t] * term[term_value[t]];
@@ -199,7 +199,7 @@ inline void add_sample(const real *term, const scalar *c, real y, real w, int lo
     }
 }
 
-inline void store_sums(const Sums *sums, const scalar *c, int gradient, global scalar *out) {
+INLINED void store_sums(const Sums *sums, const scalar *c, int gradient, global scalar *out) {
     out[0] = sum_lanes(sums->loss);
     for (int t = 0; t < TERMS; ++t) out[1 + t] = c[t];
     if (!gradient) return;
@@ -213,7 +213,7 @@ inline void store_sums(const Sums *sums, const scalar *c, int gradient, global s
 }
 
 /* The model at a sample. What is summed in squares must not overflow there. */
-inline void evaluate(Params p, Geometry s, Terms *f) {
+INLINED void evaluate(Params p, Geometry s, Terms *f) {
     brdf(p, s, f);
     real *value = (real *)f;
     UNROLLED
@@ -223,7 +223,7 @@ inline void evaluate(Params p, Geometry s, Terms *f) {
     }
 }
 
-inline void project_candidate(int gradient, global const scalar *columns, global const scalar *y,
+INLINED void project_candidate(int gradient, global const scalar *columns, global const scalar *y,
                               global const scalar *w, int samples, global const scalar *in, global scalar *scratch,
                               global scalar *out) {
     const int stored = gradient ? TERM_VALUES : TERMS;
