@@ -52,8 +52,10 @@ typedef PASTE(int, LANES) mask;
 typedef mask bits; /* a number's representation, for arithmetic on its exponent */
 #define sel(condition, yes, no) select((real)(no), (real)(yes), (condition))
 #define any_lane(condition) any(condition)
-#define load_lanes(pointer) PASTE(vload, LANES)(0, (pointer))
-#define store_lanes(value, pointer) PASTE(vstore, LANES)((value), 0, (pointer))
+/* vload and vstore come in halves from some drivers. */
+typedef real unaligned_real __attribute__((aligned(sizeof(scalar))));
+#define load_lanes(pointer) (*(global const unaligned_real *)(pointer))
+#define store_lanes(value, pointer) (*(global unaligned_real *)(pointer) = (value))
 /* Pairwise: the order is fixed, the error small. */
 inline scalar sum_2(VECTOR(2) x) { return x.lo + x.hi; }
 inline scalar sum_4(VECTOR(4) x) { return sum_2(x.lo + x.hi); }

@@ -14,7 +14,14 @@
 
 #define UNKNOWNS (TERMS + NONLINEAR)
 #define NORMALS (UNKNOWNS * (UNKNOWNS + 1) / 2)
+#define PRODUCTS (TERM_VALUES * (TERM_VALUES + 1) / 2)
 #define IN_STRIDE (PARAMETERS + 2 * TERMS)
+/* Vectors of samples whose values are taken together while they are near. */
+#if LANES == 1
+#define CHUNK 1
+#else
+#define CHUNK 16
+#endif
 #define OUT_STRIDE (1 + 2 * TERMS + PARAMETERS + NORMALS)
 
 INLINED Params broadcast_parameters(global const scalar *parameters) {
@@ -34,11 +41,13 @@ INLINED Geometry load_geometry(global const scalar *columns, int samples, int fi
 }
 
 /* Place of an element of a symmetric matrix that is stored as its upper triangle, row by row. */
-INLINED int gram_index(int row, int column) {
+INLINED int triangle_index(int row, int column, int size) {
     const int i = row < column ? row : column;
     const int j = row < column ? column : row;
-    return i * TERMS - i * (i - 1) / 2 + (j - i);
+    return i * size - i * (i - 1) / 2 + (j - i);
 }
+
+INLINED int gram_index(int row, int column) { return triangle_index(row, column, TERMS); }
 
 /* Solves the free unknowns with the others held; a direction the data do not see is held as well. */
 inline void solve_free(const scalar *gram, const scalar *b, const scalar *c, int *is_free, scalar *z) {
@@ -223,38 +232,102 @@ INLINED void evaluate(Params p, Geometry s, Terms *f) {
     }
 }
 
+/* Rows `row` and the next of product_sum += sum w v v' over `vectors` times LANES samples, whose values v (Terms) stand in
+ * `kept`. The sums of two rows stay in registers; those of all rows would not. A macro, as compilers unroll no loop whose
+ * bounds they see only once the function around it is inlined; ADD_ALL_ROWS, from the host, names every second row. */
+#define ADD_ROWS(row)                                                                                             \
+    {                                                                                                             \
+        real upper[TERM_VALUES], lower[TERM_VALUES];                                                              \
+        UNROLLED                                                                                                  \
+        for (int j = row; j < TERM_VALUES; ++j) upper[j] = product_sum[triangle_index(row, j, TERM_VALUES)];      \
+        UNROLLED                                                                                                  \
+        for (int j = row + 1; j < TERM_VALUES; ++j)                                                               \
+            lower[j] = product_sum[triangle_index(row + 1, j, TERM_VALUES)];                                      \
+        for (int k = 0; k < vectors; ++k) {                                                                       \
+            global const scalar *value = kept + k * TERM_VALUES * LANES;                                          \
+            const real from_upper = load_lanes(w + k * LANES) * load_lanes(value + row * LANES);                  \
+            UNROLLED                                                                                              \
+            for (int j = row; j < TERM_VALUES; ++j) upper[j] += from_upper * load_lanes(value + j * LANES);       \
+            if (row + 1 >= TERM_VALUES) continue;                                                                 \
+            const real from_lower = load_lanes(w + k * LANES) * load_lanes(value + (row + 1) * LANES);            \
+            UNROLLED                                                                                              \
+            for (int j = row + 1; j < TERM_VALUES; ++j) lower[j] += from_lower * load_lanes(value + j * LANES);   \
+        }                                                                                                         \
+        UNROLLED                                                                                                  \
+        for (int j = row; j < TERM_VALUES; ++j) product_sum[triangle_index(row, j, TERM_VALUES)] = upper[j];      \
+        UNROLLED                                                                                                  \
+        for (int j = row + 1; j < TERM_VALUES; ++j)                                                               \
+            product_sum[triangle_index(row + 1, j, TERM_VALUES)] = lower[j];                                      \
+    }
+
+INLINED void add_products(global const scalar *kept, global const scalar *w, int vectors, real *product_sum) {
+    ADD_ALL_ROWS
+}
+
+/* The Gauss-Newton matrix from sums of products of Terms' values at c. */
+INLINED void store_normal(const scalar *products, const scalar *c, global scalar *out) {
+    int unknown[TERM_VALUES], value[TERM_VALUES];
+    scalar factor[TERM_VALUES];
+    UNROLLED
+    for (int t = 0; t < TERMS; ++t) {
+        unknown[t] = t;
+        value[t] = term_value[t];
+        factor[t] = 1.0;
+    }
+    UNROLLED
+    for (int i = 0; i < SLOPES; ++i) {
+        unknown[TERMS + i] = TERMS + slope_column[i];
+        value[TERMS + i] = slope_value[i];
+        factor[TERMS + i] = c[slope_term[i]];
+    }
+    for (int i = 0; i < NORMALS; ++i) out[i] = 0.0;
+    UNROLLED
+    for (int i = 0; i < TERM_VALUES; ++i)
+        UNROLLED
+        for (int j = 0; j < TERM_VALUES; ++j)
+            if (unknown[i] <= unknown[j])
+                out[triangle_index(unknown[i], unknown[j], UNKNOWNS)] +=
+                    factor[i] * factor[j] * products[triangle_index(value[i], value[j], TERM_VALUES)];
+}
+
 INLINED void project_candidate(int gradient, global const scalar *columns, global const scalar *y,
-                              global const scalar *w, int samples, global const scalar *in, global scalar *scratch,
-                              global scalar *out) {
+                               global const scalar *w, int samples, global const scalar *in, global scalar *scratch,
+                               global scalar *out) {
     const int stored = gradient ? TERM_VALUES : TERMS;
     const Params p = broadcast_parameters(in);
-    global scalar *kept = scratch;
 
-    real gram_sum[TERMS * (TERMS + 1) / 2], b_sum[TERMS];
+    real product_sum[PRODUCTS], gram_sum[TERMS * (TERMS + 1) / 2], b_sum[TERMS];
+    UNROLLED
+    for (int i = 0; i < PRODUCTS; ++i) product_sum[i] = 0.0;
     UNROLLED
     for (int i = 0; i < TERMS * (TERMS + 1) / 2; ++i) gram_sum[i] = 0.0;
     UNROLLED
     for (int i = 0; i < TERMS; ++i) b_sum[i] = 0.0;
-    for (int first = 0; first < samples; first += LANES) {
-        Terms f;
-        evaluate(p, load_geometry(columns, samples, first), &f);
-        const real *term = (const real *)&f;
-        const real weight = load_lanes(w + first);
-        const real measured = load_lanes(y + first);
-        UNROLLED
-        for (int i = 0; i < TERMS; ++i) {
-            const real weighted = weight * term[term_value[i]];
-            b_sum[i] += weighted * measured;
+    for (int begin = 0; begin < samples; begin += CHUNK * LANES) {
+        const int end = min(begin + CHUNK * LANES, samples);
+        for (int first = begin; first < end; first += LANES) {
+            Terms f;
+            evaluate(p, load_geometry(columns, samples, first), &f);
+            const real *term = (const real *)&f;
+            const real weight = load_lanes(w + first);
+            const real measured = load_lanes(y + first);
+            global scalar *kept = scratch + first * stored;
             UNROLLED
-            for (int j = i; j < TERMS; ++j) gram_sum[gram_index(i, j)] += weighted * term[term_value[j]];
+            for (int i = 0; i < TERMS; ++i) {
+                const real weighted = weight * term[term_value[i]];
+                b_sum[i] += weighted * measured;
+                UNROLLED
+                for (int j = i; j < TERMS; ++j) gram_sum[gram_index(i, j)] += weighted * term[term_value[j]];
+            }
+            if (gradient)
+                UNROLLED
+                for (int i = 0; i < TERM_VALUES; ++i) store_lanes(term[i], kept + i * LANES);
+            else
+                UNROLLED
+                for (int i = 0; i < TERMS; ++i) store_lanes(term[term_value[i]], kept + i * LANES);
         }
         if (gradient)
-            UNROLLED
-            for (int i = 0; i < TERM_VALUES; ++i) store_lanes(term[i], kept + i * LANES);
-        else
-            UNROLLED
-            for (int i = 0; i < TERMS; ++i) store_lanes(term[term_value[i]], kept + i * LANES);
-        kept += stored * LANES;
+            add_products(scratch + begin * TERM_VALUES, w + begin, (end - begin) / LANES, product_sum);
     }
 
     scalar gram[TERMS * (TERMS + 1) / 2], b[TERMS], low[TERMS], high[TERMS], c[TERMS];
@@ -266,21 +339,36 @@ INLINED void project_candidate(int gradient, global const scalar *columns, globa
     }
     solve_bounded(gram, b, low, high, c);
 
-    Sums sums;
-    clear_sums(&sums);
-    kept = scratch;
+    real loss_sum = 0.0, by_value[TERM_VALUES];
+    UNROLLED
+    for (int i = 0; i < TERM_VALUES; ++i) by_value[i] = 0.0;
     for (int first = 0; first < samples; first += LANES) {
-        real term[TERM_VALUES];
+        global const scalar *kept = scratch + first * stored;
+        real residual = -load_lanes(y + first);
+        UNROLLED
+        for (int t = 0; t < TERMS; ++t) residual += c[t] * load_lanes(kept + (gradient ? term_value[t] : t) * LANES);
+        const real weighted = load_lanes(w + first) * residual;
+        loss_sum += weighted * residual;
         if (gradient)
             UNROLLED
-            for (int i = 0; i < TERM_VALUES; ++i) term[i] = load_lanes(kept + i * LANES);
-        else
-            UNROLLED
-            for (int i = 0; i < TERMS; ++i) term[term_value[i]] = load_lanes(kept + i * LANES);
-        add_sample(term, c, load_lanes(y + first), load_lanes(w + first), 0, gradient, &sums);
-        kept += stored * LANES;
+            for (int i = 0; i < TERM_VALUES; ++i) by_value[i] += weighted * load_lanes(kept + i * LANES);
     }
-    store_sums(&sums, c, gradient, out);
+
+    out[0] = sum_lanes(loss_sum);
+    UNROLLED
+    for (int t = 0; t < TERMS; ++t) out[1 + t] = c[t];
+    if (!gradient) return;
+    out += 1 + TERMS;
+    for (int i = 0; i < TERMS + PARAMETERS; ++i) out[i] = 0.0;
+    UNROLLED
+    for (int t = 0; t < TERMS; ++t) out[t] = (scalar)2.0 * sum_lanes(by_value[term_value[t]]);
+    UNROLLED
+    for (int i = 0; i < SLOPES; ++i)
+        out[TERMS + nonlinear_parameter[slope_column[i]]] +=
+            (scalar)2.0 * c[slope_term[i]] * sum_lanes(by_value[slope_value[i]]);
+    scalar products[PRODUCTS];
+    for (int i = 0; i < PRODUCTS; ++i) products[i] = sum_lanes(product_sum[i]);
+    store_normal(products, c, out + TERMS + PARAMETERS);
 }
 
 /* Best coefficients within their bounds, the loss there and its gradient (by c it is 0 away from the bounds). Every
