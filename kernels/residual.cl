@@ -97,24 +97,60 @@ inline void solve_free(const scalar *gram, const scalar *b, const scalar *c, int
     }
 }
 
-/* Minimises c'Gc/2 - b'c within lower <= c <= upper: active sets after Stark and Parker, exact for the few unknowns of
- * a model. Scales gram and b in place to a unit diagonal. */
-inline void solve_bounded(scalar *gram, scalar *b, const scalar *lower, const scalar *upper, scalar *c) {
-    scalar size[TERMS], low[TERMS], high[TERMS];
-    int is_free[TERMS], blocked[TERMS];
-    for (int i = 0; i < TERMS; ++i) size[i] = sqrt(gram[gram_index(i, i)]);
+/* The solution of Gc = b, where it lies within the bounds and no column is collinear with those before it: the
+ * ordinary case. An unknown whose bounds leave no room is held there. Whether it has been found. */
+INLINED int solve_inside(const scalar *gram, const scalar *b, const scalar *low, const scalar *high, scalar *c) {
+    scalar m[TERMS][TERMS], inverse[TERMS], z[TERMS];
+    int inside = 1;
+    UNROLLED
     for (int i = 0; i < TERMS; ++i) {
-        const int seen = size[i] > 0.0;
-        for (int j = i; j < TERMS; ++j) {
-            const scalar scale = size[i] * size[j];
-            gram[gram_index(i, j)] = scale > 0.0 ? gram[gram_index(i, j)] / scale : (scalar)0.0;
+        const int held = !(low[i] < high[i]);
+        z[i] = held ? low[i] : b[i];
+        UNROLLED
+        for (int j = 0; j < TERMS; ++j)
+            if (j != i && !(low[j] < high[j]) && !held) z[i] -= gram[gram_index(i, j)] * low[j];
+    }
+    UNROLLED
+    for (int i = 0; i < TERMS; ++i) {
+        scalar pivot = low[i] < high[i] ? gram[gram_index(i, i)] : (scalar)1.0;
+        UNROLLED
+        for (int j = 0; j < i; ++j) {
+            m[i][j] = low[i] < high[i] && low[j] < high[j] ? gram[gram_index(i, j)] : (scalar)0.0;
+            UNROLLED
+            for (int k = 0; k < j; ++k) m[i][j] -= m[i][k] * m[j][k];
+            m[i][j] *= inverse[j];
+            pivot -= m[i][j] * m[i][j];
         }
-        b[i] = seen ? b[i] / size[i] : (scalar)0.0;
-        low[i] = lower[i] * size[i];
-        high[i] = upper[i] * size[i];
+        if (!(pivot > COLLINEAR)) inside = 0;
+        inverse[i] = (scalar)1.0 / sqrt(pivot);
+    }
+    UNROLLED
+    for (int i = 0; i < TERMS; ++i) {
+        UNROLLED
+        for (int k = 0; k < i; ++k) z[i] -= m[i][k] * z[k];
+        z[i] *= inverse[i];
+    }
+    UNROLLED
+    for (int i = TERMS - 1; i >= 0; --i) {
+        UNROLLED
+        for (int k = i + 1; k < TERMS; ++k) z[i] -= m[k][i] * z[k];
+        z[i] *= inverse[i];
+        if (!(z[i] >= low[i] && z[i] <= high[i])) inside = 0;
+    }
+    if (inside)
+        UNROLLED
+        for (int i = 0; i < TERMS; ++i) c[i] = z[i];
+    return inside;
+}
+
+/* Minimises c'Gc/2 - b'c within low <= c <= high, G of unit diagonal: active sets after Stark and Parker, exact for the
+ * few unknowns of a model. */
+inline void solve_active(const scalar *gram, const scalar *b, const scalar *low, const scalar *high, scalar *c) {
+    int is_free[TERMS], blocked[TERMS];
+    for (int i = 0; i < TERMS; ++i) {
         c[i] = fmin(fmax((scalar)0.0, low[i]), high[i]);
         is_free[i] = 0;
-        blocked[i] = !seen || !(low[i] < high[i]);
+        blocked[i] = !(low[i] < high[i]); /* also where no sample sees the term */
     }
     scalar b_norm = 0.0;
     for (int i = 0; i < TERMS; ++i) b_norm = fmax(b_norm, fabs(b[i]));
@@ -160,8 +196,31 @@ inline void solve_bounded(scalar *gram, scalar *b, const scalar *lower, const sc
             is_free[hit] = 0;
         }
     }
-    for (int i = 0; i < TERMS; ++i)
-        c[i] = size[i] > 0.0 ? fmin(fmax(c[i] / size[i], lower[i]), upper[i]) : fmin(fmax((scalar)0.0, lower[i]), upper[i]);
+}
+
+/* Minimises c'Gc/2 - b'c within lower <= c <= upper. Scales gram and b in place to a unit diagonal. */
+INLINED void solve_bounded(scalar *gram, scalar *b, const scalar *lower, const scalar *upper, scalar *c) {
+    scalar size[TERMS], inverse[TERMS], low[TERMS], high[TERMS];
+    UNROLLED
+    for (int i = 0; i < TERMS; ++i) {
+        size[i] = sqrt(gram[gram_index(i, i)]);
+        inverse[i] = size[i] > 0.0 ? (scalar)1.0 / size[i] : (scalar)0.0;
+        low[i] = lower[i] * size[i];
+        high[i] = upper[i] * size[i];
+    }
+    UNROLLED
+    for (int i = 0; i < TERMS; ++i) {
+        b[i] *= inverse[i];
+        UNROLLED
+        for (int j = 0; j < TERMS; ++j)
+            if (j >= i) gram[gram_index(i, j)] = gram[gram_index(i, j)] * inverse[i] * inverse[j]; /* no overflow */
+    }
+    if (!solve_inside(gram, b, low, high, c)) solve_active(gram, b, low, high, c);
+    UNROLLED
+    for (int i = 0; i < TERMS; ++i) {
+        const scalar value = size[i] > 0.0 ? c[i] * inverse[i] : (scalar)0.0;
+        c[i] = fmin(fmax(value, lower[i]), upper[i]);
+    }
 }
 
 /* Sums of one candidate: weighted squares of the residual and their derivatives. */
@@ -178,14 +237,13 @@ INLINED void clear_sums(Sums *sums) {
 }
 
 /* residual = f - y, or ln f - y with y = ln of the measured value. A value that underflowed counts as the smallest. */
-INLINED void add_sample(const real *term, const scalar *c, real y, real w, int logarithmic, int gradient, Sums *sums) {
+INLINED void add_sample(const real *term, const scalar *c, real y, real w, int logarithmic, Sums *sums) {
     real f = 0.0;
     UNROLLED
     for (int t = 0; t < TERMS; ++t) f += c[t] * term[term_value[t]];
     real residual = f - y;
     if (logarithmic) residual = log(fmax(f, (real)TINY)) - y;
     sums->loss += w * sqr(residual);
-    if (!gradient) return;
     real column[UNKNOWNS];
     UNROLLED
     for (int t = 0; t < TERMS; ++t) column[t] = term[term_value[t]];
@@ -208,10 +266,9 @@ INLINED void add_sample(const real *term, const scalar *c, real y, real w, int l
     }
 }
 
-INLINED void store_sums(const Sums *sums, const scalar *c, int gradient, global scalar *out) {
+INLINED void store_sums(const Sums *sums, const scalar *c, global scalar *out) {
     out[0] = sum_lanes(sums->loss);
     for (int t = 0; t < TERMS; ++t) out[1 + t] = c[t];
-    if (!gradient) return;
     out += 1 + TERMS;
     for (int i = 0; i < TERMS + PARAMETERS; ++i) out[i] = 0.0;
     for (int t = 0; t < TERMS; ++t) out[t] = (scalar)2.0 * sum_lanes(sums->by_unknown[t]);
@@ -403,9 +460,9 @@ kernel void loss(global const scalar *columns, global const scalar *y, global co
         for (int first = 0; first < samples; first += LANES) {
             Terms f;
             evaluate(p, load_geometry(columns, samples, first), &f);
-            add_sample((const real *)&f, c, load_lanes(y + first), load_lanes(w + first), logarithmic, 1, &sums);
+            add_sample((const real *)&f, c, load_lanes(y + first), load_lanes(w + first), logarithmic, &sums);
         }
-        store_sums(&sums, c, 1, out + i * OUT_STRIDE);
+        store_sums(&sums, c, out + i * OUT_STRIDE);
     }
 }
 
