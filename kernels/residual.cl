@@ -4,8 +4,9 @@
  * f = sum_t c_t phi_t(sample; theta). The host generates, before this text, from the model's header and the geometry
  * table: structs Params, Geometry and Terms (all members `real`), their sizes PARAMETERS, COLUMNS and TERM_VALUES, the
  * number of terms TERMS, and the tables term_value (index of phi_t in Terms), slope_term, slope_value and slope_column
- * (for each of SLOPES derivatives: its term, its index in Terms, its place among the NONLINEAR parameters), and
- * nonlinear_parameter (their places in Params).
+ * (for each of SLOPES derivatives: its term, its index in Terms, its place among the NONLINEAR parameters),
+ * nonlinear_parameter (their places in Params), and ADD_ALL_ROWS: ADD_ROWS(i) for every second row i of the products of
+ * Terms.
  *
  * Shapes: columns COLUMNS x samples, y and w samples (samples is a multiple of LANES, padding has w = 0);
  * in candidates x (PARAMETERS + 2 TERMS) = parameters, lower and upper bounds of c (for `loss` c twice);
@@ -16,13 +17,14 @@
 #define NORMALS (UNKNOWNS * (UNKNOWNS + 1) / 2)
 #define PRODUCTS (TERM_VALUES * (TERM_VALUES + 1) / 2)
 #define IN_STRIDE (PARAMETERS + 2 * TERMS)
-/* Vectors of samples whose values are taken together while they are near. */
+#define OUT_STRIDE (1 + 2 * TERMS + PARAMETERS + NORMALS)
+
+/* Vectors of samples after which products are summed, while the values are still in the nearest cache. */
 #if LANES == 1
 #define CHUNK 1
 #else
 #define CHUNK 16
 #endif
-#define OUT_STRIDE (1 + 2 * TERMS + PARAMETERS + NORMALS)
 
 INLINED Params broadcast_parameters(global const scalar *parameters) {
     Params p;
@@ -218,7 +220,7 @@ INLINED void solve_bounded(scalar *gram, scalar *b, const scalar *lower, const s
     if (!solve_inside(gram, b, low, high, c)) solve_active(gram, b, low, high, c);
     UNROLLED
     for (int i = 0; i < TERMS; ++i) {
-        const scalar value = size[i] > 0.0 ? c[i] * inverse[i] : (scalar)0.0;
+        const scalar value = size[i] > 0.0 ? c[i] / size[i] : (scalar)0.0; /* exactly a bound where it was */
         c[i] = fmin(fmax(value, lower[i]), upper[i]);
     }
 }
@@ -351,6 +353,7 @@ INLINED void project_candidate(int gradient, global const scalar *columns, globa
                                global const scalar *w, int samples, global const scalar *in, global scalar *scratch,
                                global scalar *out) {
     const int stored = gradient ? TERM_VALUES : TERMS;
+    const int by_rows = gradient ? TERM_VALUES > 5 : 0; /* else the sums of all products fit into registers */
     const Params p = broadcast_parameters(in);
 
     real product_sum[PRODUCTS], gram_sum[TERMS * (TERMS + 1) / 2], b_sum[TERMS];
@@ -383,7 +386,7 @@ INLINED void project_candidate(int gradient, global const scalar *columns, globa
                 UNROLLED
                 for (int i = 0; i < TERMS; ++i) store_lanes(term[term_value[i]], kept + i * LANES);
         }
-        if (gradient)
+        if (by_rows)
             add_products(scratch + begin * TERM_VALUES, w + begin, (end - begin) / LANES, product_sum);
     }
 
@@ -404,11 +407,18 @@ INLINED void project_candidate(int gradient, global const scalar *columns, globa
         real residual = -load_lanes(y + first);
         UNROLLED
         for (int t = 0; t < TERMS; ++t) residual += c[t] * load_lanes(kept + (gradient ? term_value[t] : t) * LANES);
-        const real weighted = load_lanes(w + first) * residual;
-        loss_sum += weighted * residual;
+        const real weight = load_lanes(w + first);
+        loss_sum += weight * sqr(residual);
         if (gradient)
             UNROLLED
-            for (int i = 0; i < TERM_VALUES; ++i) by_value[i] += weighted * load_lanes(kept + i * LANES);
+            for (int i = 0; i < TERM_VALUES; ++i) {
+                const real weighted = weight * load_lanes(kept + i * LANES);
+                by_value[i] += weighted * residual;
+                if (!by_rows)
+                    UNROLLED
+                    for (int j = i; j < TERM_VALUES; ++j)
+                        product_sum[triangle_index(i, j, TERM_VALUES)] += weighted * load_lanes(kept + j * LANES);
+            }
     }
 
     out[0] = sum_lanes(loss_sum);

@@ -211,7 +211,7 @@ inline Series poisson_series(real g, real a) {
                 term = weight * exp_plain(fma(a, (real)-inverse, shift)) * inverse;
                 t.M1 += term;
                 t.M2 += term * inverse;
-                t.Q += term * (m - g);
+                t.Q = fma(term, m - g, t.Q); /* the sum cancels */
                 m += (scalar)1.0;
                 weight *= g * ((scalar)1.0 / m);
             }

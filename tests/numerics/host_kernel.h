@@ -21,7 +21,7 @@ struct HostKernel {
     kernels::Precision precision;
     /// candidates x term values x samples
     std::vector<double> (*terms)(std::span<const double> columns, int samples, std::span<const double> parameters);
-    /// candidates x (1 + 2 terms + parameters)
+    /// candidates x OUT_STRIDE
     std::vector<double> (*project)(std::span<const double> columns, std::span<const double> y,
                                    std::span<const double> w, std::span<const double> parameters,
                                    std::span<const double> lower, std::span<const double> upper);
