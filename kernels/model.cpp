@@ -354,7 +354,9 @@ std::string generate_prelude(const Model& model, const Header& header) {
     };
     out << "#define PARAMETERS " << model.parameters.size() << "\n#define TERMS " << model.terms.size()
         << "\n#define TERM_VALUES " << value << "\n#define SLOPES " << slopes << "\n#define NONLINEAR "
-        << nonlinear.size() << '\n';
+        << nonlinear.size() << "\n#define ADD_ALL_ROWS";
+    for (std::size_t row = 0; row < value; row += 2) out << " ADD_ROWS(" << row << ')';
+    out << '\n';
     table("term_value", values);
     table("slope_term", slope_terms);
     table("slope_value", slope_values);

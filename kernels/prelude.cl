@@ -35,13 +35,15 @@ typedef int bits;
 inline scalar sum_lanes(real x) { return x; }
 #else
 #if REAL_IS_DOUBLE
-typedef PASTE(double, LANES) real;
+#define VECTOR(width) PASTE(double, width)
+typedef VECTOR(LANES) real;
 typedef PASTE(long, LANES) mask;
 #define as_bits(x) PASTE(as_long, LANES)(x)
 #define as_real(x) PASTE(as_double, LANES)(x)
 #define to_real(x) PASTE(convert_double, LANES)(x)
 #else
-typedef PASTE(float, LANES) real;
+#define VECTOR(width) PASTE(float, width)
+typedef VECTOR(LANES) real;
 typedef PASTE(int, LANES) mask;
 #define as_bits(x) PASTE(as_int, LANES)(x)
 #define as_real(x) PASTE(as_float, LANES)(x)
@@ -50,20 +52,22 @@ typedef PASTE(int, LANES) mask;
 typedef mask bits; /* a number's representation, for arithmetic on its exponent */
 #define sel(condition, yes, no) select((real)(no), (real)(yes), (condition))
 #define any_lane(condition) any(condition)
-#define load_lanes(pointer) PASTE(vload, LANES)(0, (pointer))
-#define store_lanes(value, pointer) PASTE(vstore, LANES)((value), 0, (pointer))
-inline scalar sum_lanes(real x) {
-    scalar part[LANES];
-    store_lanes(x, part);
-    for (int width = LANES / 2; width > 0; width /= 2)  // pairwise: the order is fixed, the error small
-        for (int i = 0; i < width; ++i) part[i] += part[i + width];
-    return part[0];
-}
+/* vload and vstore come in halves from some drivers. */
+typedef real unaligned_real __attribute__((aligned(sizeof(scalar))));
+#define load_lanes(pointer) (*(global const unaligned_real *)(pointer))
+#define store_lanes(value, pointer) (*(global unaligned_real *)(pointer) = (value))
+/* Pairwise: the order is fixed, the error small. */
+inline scalar sum_2(VECTOR(2) x) { return x.lo + x.hi; }
+inline scalar sum_4(VECTOR(4) x) { return sum_2(x.lo + x.hi); }
+inline scalar sum_8(VECTOR(8) x) { return sum_4(x.lo + x.hi); }
+inline scalar sum_16(VECTOR(16) x) { return sum_8(x.lo + x.hi); }
+#define sum_lanes(x) PASTE(sum_, LANES)(x)
 #endif
 
 #endif
 
 #define UNROLLED _Pragma("unroll") /* what follows is a loop whose count is known */
+#define INLINED static inline __attribute__((always_inline)) /* compilers leave such large functions, and registers, alone */
 #define PI 3.14159265358979323846
 #define PI_SQUARED 9.86960440108935861883 /* + PI_SQUARED_LOW once rounded */
 

@@ -4,8 +4,9 @@
  * f = sum_t c_t phi_t(sample; theta). The host generates, before this text, from the model's header and the geometry
  * table: structs Params, Geometry and Terms (all members `real`), their sizes PARAMETERS, COLUMNS and TERM_VALUES, the
  * number of terms TERMS, and the tables term_value (index of phi_t in Terms), slope_term, slope_value and slope_column
- * (for each of SLOPES derivatives: its term, its index in Terms, its place among the NONLINEAR parameters), and
- * nonlinear_parameter (their places in Params).
+ * (for each of SLOPES derivatives: its term, its index in Terms, its place among the NONLINEAR parameters),
+ * nonlinear_parameter (their places in Params), and ADD_ALL_ROWS: ADD_ROWS(i) for every second row i of the products of
+ * Terms.
  *
  * Shapes: columns COLUMNS x samples, y and w samples (samples is a multiple of LANES, padding has w = 0);
  * in candidates x (PARAMETERS + 2 TERMS) = parameters, lower and upper bounds of c (for `loss` c twice);
@@ -14,10 +15,18 @@
 
 #define UNKNOWNS (TERMS + NONLINEAR)
 #define NORMALS (UNKNOWNS * (UNKNOWNS + 1) / 2)
+#define PRODUCTS (TERM_VALUES * (TERM_VALUES + 1) / 2)
 #define IN_STRIDE (PARAMETERS + 2 * TERMS)
 #define OUT_STRIDE (1 + 2 * TERMS + PARAMETERS + NORMALS)
 
-inline Params broadcast_parameters(global const scalar *parameters) {
+/* Vectors of samples after which products are summed, while the values are still in the nearest cache. */
+#if LANES == 1
+#define CHUNK 1
+#else
+#define CHUNK 16
+#endif
+
+INLINED Params broadcast_parameters(global const scalar *parameters) {
     Params p;
     real *value = (real *)&p;
     UNROLLED
@@ -25,7 +34,7 @@ inline Params broadcast_parameters(global const scalar *parameters) {
     return p;
 }
 
-inline Geometry load_geometry(global const scalar *columns, int samples, int first) {
+INLINED Geometry load_geometry(global const scalar *columns, int samples, int first) {
     Geometry s;
     real *value = (real *)&s;
     UNROLLED
@@ -34,11 +43,13 @@ inline Geometry load_geometry(global const scalar *columns, int samples, int fir
 }
 
 /* Place of an element of a symmetric matrix that is stored as its upper triangle, row by row. */
-inline int gram_index(int row, int column) {
+INLINED int triangle_index(int row, int column, int size) {
     const int i = row < column ? row : column;
     const int j = row < column ? column : row;
-    return i * TERMS - i * (i - 1) / 2 + (j - i);
+    return i * size - i * (i - 1) / 2 + (j - i);
 }
+
+INLINED int gram_index(int row, int column) { return triangle_index(row, column, TERMS); }
 
 /* Solves the free unknowns with the others held; a direction the data do not see is held as well. */
 inline void solve_free(const scalar *gram, const scalar *b, const scalar *c, int *is_free, scalar *z) {
@@ -88,24 +99,60 @@ inline void solve_free(const scalar *gram, const scalar *b, const scalar *c, int
     }
 }
 
-/* Minimises c'Gc/2 - b'c within lower <= c <= upper: active sets after Stark and Parker, exact for the few unknowns of
- * a model. Scales gram and b in place to a unit diagonal. */
-inline void solve_bounded(scalar *gram, scalar *b, const scalar *lower, const scalar *upper, scalar *c) {
-    scalar size[TERMS], low[TERMS], high[TERMS];
-    int is_free[TERMS], blocked[TERMS];
-    for (int i = 0; i < TERMS; ++i) size[i] = sqrt(gram[gram_index(i, i)]);
+/* The solution of Gc = b, where it lies within the bounds and no column is collinear with those before it: the
+ * ordinary case. An unknown whose bounds leave no room is held there. Whether it has been found. */
+INLINED int solve_inside(const scalar *gram, const scalar *b, const scalar *low, const scalar *high, scalar *c) {
+    scalar m[TERMS][TERMS], inverse[TERMS], z[TERMS];
+    int inside = 1;
+    UNROLLED
     for (int i = 0; i < TERMS; ++i) {
-        const int seen = size[i] > 0.0;
-        for (int j = i; j < TERMS; ++j) {
-            const scalar scale = size[i] * size[j];
-            gram[gram_index(i, j)] = scale > 0.0 ? gram[gram_index(i, j)] / scale : (scalar)0.0;
+        const int held = !(low[i] < high[i]);
+        z[i] = held ? low[i] : b[i];
+        UNROLLED
+        for (int j = 0; j < TERMS; ++j)
+            if (j != i && !(low[j] < high[j]) && !held) z[i] -= gram[gram_index(i, j)] * low[j];
+    }
+    UNROLLED
+    for (int i = 0; i < TERMS; ++i) {
+        scalar pivot = low[i] < high[i] ? gram[gram_index(i, i)] : (scalar)1.0;
+        UNROLLED
+        for (int j = 0; j < i; ++j) {
+            m[i][j] = low[i] < high[i] && low[j] < high[j] ? gram[gram_index(i, j)] : (scalar)0.0;
+            UNROLLED
+            for (int k = 0; k < j; ++k) m[i][j] -= m[i][k] * m[j][k];
+            m[i][j] *= inverse[j];
+            pivot -= m[i][j] * m[i][j];
         }
-        b[i] = seen ? b[i] / size[i] : (scalar)0.0;
-        low[i] = lower[i] * size[i];
-        high[i] = upper[i] * size[i];
+        if (!(pivot > COLLINEAR)) inside = 0;
+        inverse[i] = (scalar)1.0 / sqrt(pivot);
+    }
+    UNROLLED
+    for (int i = 0; i < TERMS; ++i) {
+        UNROLLED
+        for (int k = 0; k < i; ++k) z[i] -= m[i][k] * z[k];
+        z[i] *= inverse[i];
+    }
+    UNROLLED
+    for (int i = TERMS - 1; i >= 0; --i) {
+        UNROLLED
+        for (int k = i + 1; k < TERMS; ++k) z[i] -= m[k][i] * z[k];
+        z[i] *= inverse[i];
+        if (!(z[i] >= low[i] && z[i] <= high[i])) inside = 0;
+    }
+    if (inside)
+        UNROLLED
+        for (int i = 0; i < TERMS; ++i) c[i] = z[i];
+    return inside;
+}
+
+/* Minimises c'Gc/2 - b'c within low <= c <= high, G of unit diagonal: active sets after Stark and Parker, exact for the
+ * few unknowns of a model. */
+inline void solve_active(const scalar *gram, const scalar *b, const scalar *low, const scalar *high, scalar *c) {
+    int is_free[TERMS], blocked[TERMS];
+    for (int i = 0; i < TERMS; ++i) {
         c[i] = fmin(fmax((scalar)0.0, low[i]), high[i]);
         is_free[i] = 0;
-        blocked[i] = !seen || !(low[i] < high[i]);
+        blocked[i] = !(low[i] < high[i]); /* also where no sample sees the term */
     }
     scalar b_norm = 0.0;
     for (int i = 0; i < TERMS; ++i) b_norm = fmax(b_norm, fabs(b[i]));
@@ -151,8 +198,31 @@ inline void solve_bounded(scalar *gram, scalar *b, const scalar *lower, const sc
             is_free[hit] = 0;
         }
     }
-    for (int i = 0; i < TERMS; ++i)
-        c[i] = size[i] > 0.0 ? fmin(fmax(c[i] / size[i], lower[i]), upper[i]) : fmin(fmax((scalar)0.0, lower[i]), upper[i]);
+}
+
+/* Minimises c'Gc/2 - b'c within lower <= c <= upper. Scales gram and b in place to a unit diagonal. */
+INLINED void solve_bounded(scalar *gram, scalar *b, const scalar *lower, const scalar *upper, scalar *c) {
+    scalar size[TERMS], inverse[TERMS], low[TERMS], high[TERMS];
+    UNROLLED
+    for (int i = 0; i < TERMS; ++i) {
+        size[i] = sqrt(gram[gram_index(i, i)]);
+        inverse[i] = size[i] > 0.0 ? (scalar)1.0 / size[i] : (scalar)0.0;
+        low[i] = lower[i] * size[i];
+        high[i] = upper[i] * size[i];
+    }
+    UNROLLED
+    for (int i = 0; i < TERMS; ++i) {
+        b[i] *= inverse[i];
+        UNROLLED
+        for (int j = 0; j < TERMS; ++j)
+            if (j >= i) gram[gram_index(i, j)] = gram[gram_index(i, j)] * inverse[i] * inverse[j]; /* no overflow */
+    }
+    if (!solve_inside(gram, b, low, high, c)) solve_active(gram, b, low, high, c);
+    UNROLLED
+    for (int i = 0; i < TERMS; ++i) {
+        const scalar value = size[i] > 0.0 ? c[i] / size[i] : (scalar)0.0; /* exactly a bound where it was */
+        c[i] = fmin(fmax(value, lower[i]), upper[i]);
+    }
 }
 
 /* Sums of one candidate: weighted squares of the residual and their derivatives. */
@@ -160,7 +230,7 @@ typedef struct {
     real loss, by_unknown[UNKNOWNS], normal[NORMALS];
 } Sums;
 
-inline void clear_sums(Sums *sums) {
+INLINED void clear_sums(Sums *sums) {
     sums->loss = 0.0;
     UNROLLED
     for (int i = 0; i < UNKNOWNS; ++i) sums->by_unknown[i] = 0.0;
@@ -169,14 +239,13 @@ inline void clear_sums(Sums *sums) {
 }
 
 /* residual = f - y, or ln f - y with y = ln of the measured value. A value that underflowed counts as the smallest. */
-inline void add_sample(const real *term, const scalar *c, real y, real w, int logarithmic, int gradient, Sums *sums) {
+INLINED void add_sample(const real *term, const scalar *c, real y, real w, int logarithmic, Sums *sums) {
     real f = 0.0;
     UNROLLED
     for (int t = 0; t < TERMS; ++t) f += c[t] * term[term_value[t]];
     real residual = f - y;
     if (logarithmic) residual = log(fmax(f, (real)TINY)) - y;
     sums->loss += w * sqr(residual);
-    if (!gradient) return;
     real column[UNKNOWNS];
     UNROLLED
     for (int t = 0; t < TERMS; ++t) column[t] = term[term_value[t]];
@@ -199,10 +268,9 @@ inline void add_sample(const real *term, const scalar *c, real y, real w, int lo
     }
 }
 
-inline void store_sums(const Sums *sums, const scalar *c, int gradient, global scalar *out) {
+INLINED void store_sums(const Sums *sums, const scalar *c, global scalar *out) {
     out[0] = sum_lanes(sums->loss);
     for (int t = 0; t < TERMS; ++t) out[1 + t] = c[t];
-    if (!gradient) return;
     out += 1 + TERMS;
     for (int i = 0; i < TERMS + PARAMETERS; ++i) out[i] = 0.0;
     for (int t = 0; t < TERMS; ++t) out[t] = (scalar)2.0 * sum_lanes(sums->by_unknown[t]);
@@ -213,7 +281,7 @@ inline void store_sums(const Sums *sums, const scalar *c, int gradient, global s
 }
 
 /* The model at a sample. What is summed in squares must not overflow there. */
-inline void evaluate(Params p, Geometry s, Terms *f) {
+INLINED void evaluate(Params p, Geometry s, Terms *f) {
     brdf(p, s, f);
     real *value = (real *)f;
     UNROLLED
@@ -223,38 +291,103 @@ inline void evaluate(Params p, Geometry s, Terms *f) {
     }
 }
 
-inline void project_candidate(int gradient, global const scalar *columns, global const scalar *y,
-                              global const scalar *w, int samples, global const scalar *in, global scalar *scratch,
-                              global scalar *out) {
-    const int stored = gradient ? TERM_VALUES : TERMS;
-    const Params p = broadcast_parameters(in);
-    global scalar *kept = scratch;
+/* Rows `row` and the next of product_sum += sum w v v' over `vectors` times LANES samples, whose values v (Terms) stand in
+ * `kept`. The sums of two rows stay in registers; those of all rows would not. A macro, as compilers unroll no loop whose
+ * bounds they see only once the function around it is inlined; ADD_ALL_ROWS, from the host, names every second row. */
+#define ADD_ROWS(row)                                                                                             \
+    {                                                                                                             \
+        real upper[TERM_VALUES], lower[TERM_VALUES];                                                              \
+        UNROLLED                                                                                                  \
+        for (int j = row; j < TERM_VALUES; ++j) upper[j] = product_sum[triangle_index(row, j, TERM_VALUES)];      \
+        UNROLLED                                                                                                  \
+        for (int j = row + 1; j < TERM_VALUES; ++j)                                                               \
+            lower[j] = product_sum[triangle_index(row + 1, j, TERM_VALUES)];                                      \
+        for (int k = 0; k < vectors; ++k) {                                                                       \
+            global const scalar *value = kept + k * TERM_VALUES * LANES;                                          \
+            const real from_upper = load_lanes(w + k * LANES) * load_lanes(value + row * LANES);                  \
+            UNROLLED                                                                                              \
+            for (int j = row; j < TERM_VALUES; ++j) upper[j] += from_upper * load_lanes(value + j * LANES);       \
+            if (row + 1 >= TERM_VALUES) continue;                                                                 \
+            const real from_lower = load_lanes(w + k * LANES) * load_lanes(value + (row + 1) * LANES);            \
+            UNROLLED                                                                                              \
+            for (int j = row + 1; j < TERM_VALUES; ++j) lower[j] += from_lower * load_lanes(value + j * LANES);   \
+        }                                                                                                         \
+        UNROLLED                                                                                                  \
+        for (int j = row; j < TERM_VALUES; ++j) product_sum[triangle_index(row, j, TERM_VALUES)] = upper[j];      \
+        UNROLLED                                                                                                  \
+        for (int j = row + 1; j < TERM_VALUES; ++j)                                                               \
+            product_sum[triangle_index(row + 1, j, TERM_VALUES)] = lower[j];                                      \
+    }
 
-    real gram_sum[TERMS * (TERMS + 1) / 2], b_sum[TERMS];
+INLINED void add_products(global const scalar *kept, global const scalar *w, int vectors, real *product_sum) {
+    ADD_ALL_ROWS
+}
+
+/* The Gauss-Newton matrix from sums of products of Terms' values at c. */
+INLINED void store_normal(const scalar *products, const scalar *c, global scalar *out) {
+    int unknown[TERM_VALUES], value[TERM_VALUES];
+    scalar factor[TERM_VALUES];
+    UNROLLED
+    for (int t = 0; t < TERMS; ++t) {
+        unknown[t] = t;
+        value[t] = term_value[t];
+        factor[t] = 1.0;
+    }
+    UNROLLED
+    for (int i = 0; i < SLOPES; ++i) {
+        unknown[TERMS + i] = TERMS + slope_column[i];
+        value[TERMS + i] = slope_value[i];
+        factor[TERMS + i] = c[slope_term[i]];
+    }
+    for (int i = 0; i < NORMALS; ++i) out[i] = 0.0;
+    UNROLLED
+    for (int i = 0; i < TERM_VALUES; ++i)
+        UNROLLED
+        for (int j = 0; j < TERM_VALUES; ++j)
+            if (unknown[i] <= unknown[j])
+                out[triangle_index(unknown[i], unknown[j], UNKNOWNS)] +=
+                    factor[i] * factor[j] * products[triangle_index(value[i], value[j], TERM_VALUES)];
+}
+
+INLINED void project_candidate(int gradient, global const scalar *columns, global const scalar *y,
+                               global const scalar *w, int samples, global const scalar *in, global scalar *scratch,
+                               global scalar *out) {
+    const int stored = gradient ? TERM_VALUES : TERMS;
+    const int by_rows = gradient ? TERM_VALUES > 5 : 0; /* else the sums of all products fit into registers */
+    const Params p = broadcast_parameters(in);
+
+    real product_sum[PRODUCTS], gram_sum[TERMS * (TERMS + 1) / 2], b_sum[TERMS];
+    UNROLLED
+    for (int i = 0; i < PRODUCTS; ++i) product_sum[i] = 0.0;
     UNROLLED
     for (int i = 0; i < TERMS * (TERMS + 1) / 2; ++i) gram_sum[i] = 0.0;
     UNROLLED
     for (int i = 0; i < TERMS; ++i) b_sum[i] = 0.0;
-    for (int first = 0; first < samples; first += LANES) {
-        Terms f;
-        evaluate(p, load_geometry(columns, samples, first), &f);
-        const real *term = (const real *)&f;
-        const real weight = load_lanes(w + first);
-        const real measured = load_lanes(y + first);
-        UNROLLED
-        for (int i = 0; i < TERMS; ++i) {
-            const real weighted = weight * term[term_value[i]];
-            b_sum[i] += weighted * measured;
+    for (int begin = 0; begin < samples; begin += CHUNK * LANES) {
+        const int end = min(begin + CHUNK * LANES, samples);
+        for (int first = begin; first < end; first += LANES) {
+            Terms f;
+            evaluate(p, load_geometry(columns, samples, first), &f);
+            const real *term = (const real *)&f;
+            const real weight = load_lanes(w + first);
+            const real measured = load_lanes(y + first);
+            global scalar *kept = scratch + first * stored;
             UNROLLED
-            for (int j = i; j < TERMS; ++j) gram_sum[gram_index(i, j)] += weighted * term[term_value[j]];
+            for (int i = 0; i < TERMS; ++i) {
+                const real weighted = weight * term[term_value[i]];
+                b_sum[i] += weighted * measured;
+                UNROLLED
+                for (int j = i; j < TERMS; ++j) gram_sum[gram_index(i, j)] += weighted * term[term_value[j]];
+            }
+            if (gradient)
+                UNROLLED
+                for (int i = 0; i < TERM_VALUES; ++i) store_lanes(term[i], kept + i * LANES);
+            else
+                UNROLLED
+                for (int i = 0; i < TERMS; ++i) store_lanes(term[term_value[i]], kept + i * LANES);
         }
-        if (gradient)
-            UNROLLED
-            for (int i = 0; i < TERM_VALUES; ++i) store_lanes(term[i], kept + i * LANES);
-        else
-            UNROLLED
-            for (int i = 0; i < TERMS; ++i) store_lanes(term[term_value[i]], kept + i * LANES);
-        kept += stored * LANES;
+        if (by_rows)
+            add_products(scratch + begin * TERM_VALUES, w + begin, (end - begin) / LANES, product_sum);
     }
 
     scalar gram[TERMS * (TERMS + 1) / 2], b[TERMS], low[TERMS], high[TERMS], c[TERMS];
@@ -266,21 +399,43 @@ inline void project_candidate(int gradient, global const scalar *columns, global
     }
     solve_bounded(gram, b, low, high, c);
 
-    Sums sums;
-    clear_sums(&sums);
-    kept = scratch;
+    real loss_sum = 0.0, by_value[TERM_VALUES];
+    UNROLLED
+    for (int i = 0; i < TERM_VALUES; ++i) by_value[i] = 0.0;
     for (int first = 0; first < samples; first += LANES) {
-        real term[TERM_VALUES];
+        global const scalar *kept = scratch + first * stored;
+        real residual = -load_lanes(y + first);
+        UNROLLED
+        for (int t = 0; t < TERMS; ++t) residual += c[t] * load_lanes(kept + (gradient ? term_value[t] : t) * LANES);
+        const real weight = load_lanes(w + first);
+        loss_sum += weight * sqr(residual);
         if (gradient)
             UNROLLED
-            for (int i = 0; i < TERM_VALUES; ++i) term[i] = load_lanes(kept + i * LANES);
-        else
-            UNROLLED
-            for (int i = 0; i < TERMS; ++i) term[term_value[i]] = load_lanes(kept + i * LANES);
-        add_sample(term, c, load_lanes(y + first), load_lanes(w + first), 0, gradient, &sums);
-        kept += stored * LANES;
+            for (int i = 0; i < TERM_VALUES; ++i) {
+                const real weighted = weight * load_lanes(kept + i * LANES);
+                by_value[i] += weighted * residual;
+                if (!by_rows)
+                    UNROLLED
+                    for (int j = i; j < TERM_VALUES; ++j)
+                        product_sum[triangle_index(i, j, TERM_VALUES)] += weighted * load_lanes(kept + j * LANES);
+            }
     }
-    store_sums(&sums, c, gradient, out);
+
+    out[0] = sum_lanes(loss_sum);
+    UNROLLED
+    for (int t = 0; t < TERMS; ++t) out[1 + t] = c[t];
+    if (!gradient) return;
+    out += 1 + TERMS;
+    for (int i = 0; i < TERMS + PARAMETERS; ++i) out[i] = 0.0;
+    UNROLLED
+    for (int t = 0; t < TERMS; ++t) out[t] = (scalar)2.0 * sum_lanes(by_value[term_value[t]]);
+    UNROLLED
+    for (int i = 0; i < SLOPES; ++i)
+        out[TERMS + nonlinear_parameter[slope_column[i]]] +=
+            (scalar)2.0 * c[slope_term[i]] * sum_lanes(by_value[slope_value[i]]);
+    scalar products[PRODUCTS];
+    for (int i = 0; i < PRODUCTS; ++i) products[i] = sum_lanes(product_sum[i]);
+    store_normal(products, c, out + TERMS + PARAMETERS);
 }
 
 /* Best coefficients within their bounds, the loss there and its gradient (by c it is 0 away from the bounds). Every
@@ -315,9 +470,9 @@ kernel void loss(global const scalar *columns, global const scalar *y, global co
         for (int first = 0; first < samples; first += LANES) {
             Terms f;
             evaluate(p, load_geometry(columns, samples, first), &f);
-            add_sample((const real *)&f, c, load_lanes(y + first), load_lanes(w + first), logarithmic, 1, &sums);
+            add_sample((const real *)&f, c, load_lanes(y + first), load_lanes(w + first), logarithmic, &sums);
         }
-        store_sums(&sums, c, 1, out + i * OUT_STRIDE);
+        store_sums(&sums, c, out + i * OUT_STRIDE);
     }
 }
 

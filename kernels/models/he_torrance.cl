@@ -163,8 +163,15 @@ inline Series poisson_series(real g, real a) {
 
     /* Mode: m = g e^(W/2), W e^W = 2 a/g^2, as ln(m/g) = a/m^2. */
     const real inverse_g = 1.0 / g;
-    const real W = lambert_w(fmin(2.0 * a * inverse_g * inverse_g, (real)HUGE), MODE_STEPS);
-    const real growth = exp_plain(0.5 * W);
+    const real z_W = 2.0 * a * inverse_g * inverse_g;
+    real W = lambert_w(fmin(z_W, (real)HUGE), MODE_STEPS);
+    const mask beyond = z_W > HUGE; /* both directions graze: W from W + ln W = ln z */
+    if (any_lane(beyond)) {
+        const real log_z = log_plain(sel(beyond, 2.0 * a, 1.0)) + 2.0 * log_plain(inverse_g);
+        const real bounded = sel(beyond, log_z, 100.0);
+        W = sel(beyond, bounded - log_plain(bounded - log_plain(bounded)), W);
+    }
+    const real growth = exp_plain(fmin(0.5 * W, (real)LOG_HUGE));
     const real mode = fmax(g * growth, (real)1.0);
     const real peak = g * sel(W < 0.1, W * (0.5 + W * (0.375 + W * (5.0 / 48.0))), growth * (W - 1.0) + 1.0);
     const mask seen = peak < LOG_UNSEEN;
@@ -204,7 +211,7 @@ inline Series poisson_series(real g, real a) {
                 term = weight * exp_plain(fma(a, (real)-inverse, shift)) * inverse;
                 t.M1 += term;
                 t.M2 += term * inverse;
-                t.Q += term * (m - g);
+                t.Q = fma(term, m - g, t.Q); /* the sum cancels */
                 m += (scalar)1.0;
                 weight *= g * ((scalar)1.0 / m);
             }

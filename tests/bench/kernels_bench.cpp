@@ -12,6 +12,7 @@
 #include <span>
 #include <stdexcept>
 #include <string>
+#include <type_traits>
 #include <vector>
 
 #include "kernels/evaluator.h"
@@ -29,29 +30,24 @@ constexpr double kMostOverCpp = 1.1;
 constexpr double kMostOverValue = 1.35;
 constexpr std::size_t kThreads = 2;
 
-/// Numbers of the kernel's precision, aligned as OpenCL's are.
+/// Numbers of a kernel's precision, aligned as OpenCL's are.
 class Buffer {
 public:
-    Buffer(Precision precision, std::span<const double> values) : precision_(precision) {
+    Buffer(Precision precision, std::span<const double> values) {
         reserve(values.size());
         for (std::size_t i = 0; i < values.size(); ++i) {
             if (precision == Precision::double_precision) static_cast<double*>(data())[i] = values[i];
             else static_cast<float*>(data())[i] = static_cast<float>(values[i]);
         }
     }
-    Buffer(Precision precision, std::size_t count) : precision_(precision) { reserve(count); }
+    explicit Buffer(std::size_t count) { reserve(count); }
     [[nodiscard]] void* data() { return lines_.data(); }
-    [[nodiscard]] double operator[](std::size_t i) {
-        return precision_ == Precision::double_precision ? static_cast<double*>(data())[i]
-                                                         : static_cast<double>(static_cast<float*>(data())[i]);
-    }
 
 private:
     struct alignas(128) Line {
         std::array<std::byte, 128> bytes;
     };
     void reserve(std::size_t count) { lines_.resize(count * sizeof(double) / sizeof(Line) + 1); }
-    Precision precision_;
     std::vector<Line> lines_;
 };
 
@@ -71,47 +67,75 @@ struct Inputs {
     std::vector<double> measured, weights, parameters, lower, upper;
 };
 
-/// The kernel as C++, all its buffers ready.
+/// The kernel as C++ behind Evaluator's call: candidates in, a Batch out. Its buffers are ready.
 class Twin {
 public:
     Twin(const HostKernel& kernel, const Model& model, const Inputs& in)
         : kernel_(kernel),
-          candidates_(in.parameters.size() / model.parameters.size()),
+          parameters_(model.parameters.size()),
+          terms_(model.terms.size()),
+          normals_(normals(model)),
+          candidates_(in.parameters.size() / parameters_),
           padded_((in.directions.size() + 15) / 16 * 16),
-          stride_(out_stride(model)),
           columns_(kernel.precision, columns_of(in.directions)),
           measured_(kernel.precision, padded(in.measured)),
           weights_(kernel.precision, padded(in.weights)),
-          in_(kernel.precision, rows_of(model, in)),
-          scratch_(kernel.precision, padded_ * model.term_values()),
-          out_(kernel.precision, candidates_ * stride_) {}
+          in_(candidates_ * (parameters_ + 2 * terms_)),
+          scratch_(padded_ * model.term_values()),
+          out_(candidates_ * (1 + 2 * terms_ + parameters_ + normals_)) {}
 
-    void project(bool gradient) {
+    void project(const Inputs& in, bool gradient, kernels::Batch& out) {
+        if (kernel_.precision == Precision::double_precision) project<double>(in, gradient, out);
+        else project<float>(in, gradient, out);
+    }
+
+private:
+    static std::size_t normals(const Model& model) {
+        const std::size_t unknowns = model.terms.size() + model.nonlinear().size();
+        return unknowns * (unknowns + 1) / 2;
+    }
+    template <class Scalar>
+    void project(const Inputs& in, bool gradient, kernels::Batch& out) {
+        const auto copy = [](std::size_t count, const auto*& from, auto*& to) {
+            for (std::size_t i = 0; i < count; ++i)
+                to[i] = static_cast<std::remove_reference_t<decltype(*to)>>(from[i]);
+            from += count;
+            to += count;
+        };
+        const double* parameters = in.parameters.data();
+        const double* lower = in.lower.data();
+        const double* upper = in.upper.data();
+        auto* row = static_cast<Scalar*>(in_.data());
+        for (std::size_t i = 0; i < candidates_; ++i) {
+            copy(parameters_, parameters, row);
+            copy(terms_, lower, row);
+            copy(terms_, upper, row);
+        }
         kernel_.project_in_place(gradient, columns_.data(), measured_.data(), weights_.data(),
                                  static_cast<int>(padded_), static_cast<int>(candidates_), in_.data(), scratch_.data(),
                                  out_.data());
-    }
-    [[nodiscard]] double loss(std::size_t candidate) { return out_[candidate * stride_]; }
-
-private:
-    static std::size_t out_stride(const Model& model) {
-        const std::size_t unknowns = model.terms.size() + model.nonlinear().size();
-        return 1 + 2 * model.terms.size() + model.parameters.size() + unknowns * (unknowns + 1) / 2;
-    }
-    /// Of each candidate its parameters and bounds.
-    static std::vector<double> rows_of(const Model& model, const Inputs& in) {
-        const auto p = static_cast<std::ptrdiff_t>(model.parameters.size());
-        const auto t = static_cast<std::ptrdiff_t>(model.terms.size());
-        std::vector<double> rows;
-        const auto add = [&](const std::vector<double>& values, std::ptrdiff_t row, std::ptrdiff_t size) {
-            rows.insert(rows.end(), values.begin() + row * size, values.begin() + (row + 1) * size);
-        };
-        for (std::ptrdiff_t i = 0; i < static_cast<std::ptrdiff_t>(in.parameters.size()) / p; ++i) {
-            add(in.parameters, i, p);
-            add(in.lower, i, t);
-            add(in.upper, i, t);
+        out.loss.resize(candidates_);
+        out.coefficients.resize(candidates_ * terms_);
+        out.by_coefficient.resize(gradient ? candidates_ * terms_ : 0);
+        out.by_parameter.resize(gradient ? candidates_ * parameters_ : 0);
+        out.normal.resize(gradient ? candidates_ * normals_ : 0);
+        const auto* result = static_cast<const Scalar*>(out_.data());
+        double* loss = out.loss.data();
+        double* coefficients = out.coefficients.data();
+        double* by_coefficient = out.by_coefficient.data();
+        double* by_parameter = out.by_parameter.data();
+        double* normal = out.normal.data();
+        for (std::size_t i = 0; i < candidates_; ++i) {
+            copy(1, result, loss);
+            copy(terms_, result, coefficients);
+            if (!gradient) {
+                result += terms_ + parameters_ + normals_;
+                continue;
+            }
+            copy(terms_, result, by_coefficient);
+            copy(parameters_, result, by_parameter);
+            copy(normals_, result, normal);
         }
-        return rows;
     }
     [[nodiscard]] std::vector<double> padded(std::vector<double> values) const {
         values.resize(padded_, 0.0);
@@ -126,7 +150,7 @@ private:
         return columns;
     }
     const HostKernel& kernel_;
-    std::size_t candidates_, padded_, stride_;
+    std::size_t parameters_, terms_, normals_, candidates_, padded_;
     Buffer columns_, measured_, weights_, in_, scratch_, out_;
 };
 
@@ -157,17 +181,17 @@ void compare(benchmark::State& state, const Model& model, const HostKernel& host
     const Inputs in(model, candidates, 1 + static_cast<std::uint64_t>(state.thread_index()));
     kernels::Evaluator evaluator(engine(), model, host.precision, in.directions, in.measured, in.weights);
     Twin twin(host, model, in);
-    kernels::Batch out;
+    kernels::Batch out, twin_out;
     const auto opencl = [&](bool gradient) {
         return seconds_of(times, [&] { evaluator.project(in.parameters, in.lower, in.upper, gradient, out); });
     };
-    const auto cpp = [&](bool gradient) { return seconds_of(times, [&] { twin.project(gradient); }); };
+    const auto cpp = [&](bool gradient) { return seconds_of(times, [&] { twin.project(in, gradient, twin_out); }); };
     opencl(false);  // a kernel's first launch is slow
     opencl(true);
     cpp(true);
     const double allowed = host.precision == Precision::double_precision ? 1e-9 : 1e-3;
     for (std::size_t i = 0; i < candidates; ++i)
-        if (!(std::abs(twin.loss(i) - out.loss[i]) <= allowed * out.loss[i]))
+        if (!(std::abs(twin_out.loss[i] - out.loss[i]) <= allowed * out.loss[i]))
             throw std::runtime_error(label(model) + ": C++ and OpenCL do not do the same work");
 
     std::vector<double> value, gradient, value_ratio, gradient_ratio, gradient_over_value;

@@ -2,6 +2,7 @@
 /// generated source (host_kernel_generator.cpp) includes this and holds each model's text in a namespace of its own.
 #pragma once
 
+#include <algorithm>
 #include <bit>
 #include <cmath>
 #include <cstddef>
@@ -20,7 +21,7 @@ struct HostKernel {
     kernels::Precision precision;
     /// candidates x term values x samples
     std::vector<double> (*terms)(std::span<const double> columns, int samples, std::span<const double> parameters);
-    /// candidates x (1 + 2 terms + parameters)
+    /// candidates x OUT_STRIDE
     std::vector<double> (*project)(std::span<const double> columns, std::span<const double> y,
                                    std::span<const double> w, std::span<const double> parameters,
                                    std::span<const double> lower, std::span<const double> upper);
@@ -36,7 +37,7 @@ std::span<const HostKernel> host_kernels_single();
 }  // namespace brdfit::tests
 
 #ifdef BRDFIT_HOST_KERNEL  // the generated sources only
-using std::exp, std::floor, std::fma, std::fmax, std::fmin, std::log, std::sqrt;
+using std::exp, std::floor, std::fma, std::fmax, std::fmin, std::log, std::min, std::sqrt;
 #define kernel
 #define global
 #define constant static const
