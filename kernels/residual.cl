@@ -223,19 +223,21 @@ inline void evaluate(Params p, Geometry s, Terms *f) {
     }
 }
 
-inline void project_candidate(int gradient, global const scalar *columns, global const scalar *y,
-                              global const scalar *w, int samples, global const scalar *in, global scalar *scratch,
-                              global scalar *out) {
-    const int stored = gradient ? TERM_VALUES : TERMS;
-    const Params p = broadcast_parameters(in);
-    global scalar *kept = scratch;
+#define GRAM (TERMS * (TERMS + 1) / 2)
 
-    real gram_sum[TERMS * (TERMS + 1) / 2], b_sum[TERMS];
+/* The normal equations of one candidate's coefficients, over samples begin, begin + step, ... (LANES each): gram and b.
+ * Its terms at sample `first` are kept at scratch + first * apart, each `stride` from the next. */
+inline void sum_products(int gradient, global const scalar *columns, global const scalar *y, global const scalar *w,
+                         int samples, int begin, int step, global const scalar *in, global scalar *scratch, int apart,
+                         int stride, scalar *gram, scalar *b) {
+    const Params p = broadcast_parameters(in);
+    real gram_sum[GRAM], b_sum[TERMS];
     UNROLLED
-    for (int i = 0; i < TERMS * (TERMS + 1) / 2; ++i) gram_sum[i] = 0.0;
+    for (int i = 0; i < GRAM; ++i) gram_sum[i] = 0.0;
     UNROLLED
     for (int i = 0; i < TERMS; ++i) b_sum[i] = 0.0;
-    for (int first = 0; first < samples; first += LANES) {
+    for (int first = begin; first < samples; first += step) {
+        global scalar *kept = scratch + (size_t)first * apart;
         Terms f;
         evaluate(p, load_geometry(columns, samples, first), &f);
         const real *term = (const real *)&f;
@@ -250,36 +252,64 @@ inline void project_candidate(int gradient, global const scalar *columns, global
         }
         if (gradient)
             UNROLLED
-            for (int i = 0; i < TERM_VALUES; ++i) store_lanes(term[i], kept + i * LANES);
+            for (int i = 0; i < TERM_VALUES; ++i) store_lanes(term[i], kept + i * stride);
         else
             UNROLLED
-            for (int i = 0; i < TERMS; ++i) store_lanes(term[term_value[i]], kept + i * LANES);
-        kept += stored * LANES;
+            for (int i = 0; i < TERMS; ++i) store_lanes(term[term_value[i]], kept + i * stride);
     }
+    for (int i = 0; i < GRAM; ++i) gram[i] = sum_lanes(gram_sum[i]);
+    for (int i = 0; i < TERMS; ++i) b[i] = sum_lanes(b_sum[i]);
+}
 
-    scalar gram[TERMS * (TERMS + 1) / 2], b[TERMS], low[TERMS], high[TERMS], c[TERMS];
-    for (int i = 0; i < TERMS * (TERMS + 1) / 2; ++i) gram[i] = sum_lanes(gram_sum[i]);
+/* The best coefficients within the candidate's bounds. */
+inline void solve_coefficients(scalar *gram, scalar *b, global const scalar *in, scalar *c) {
+    scalar low[TERMS], high[TERMS];
     for (int i = 0; i < TERMS; ++i) {
-        b[i] = sum_lanes(b_sum[i]);
         low[i] = in[PARAMETERS + i];
         high[i] = in[PARAMETERS + TERMS + i];
     }
     solve_bounded(gram, b, low, high, c);
+}
 
-    Sums sums;
-    clear_sums(&sums);
-    kept = scratch;
-    for (int first = 0; first < samples; first += LANES) {
+/* Adds what sum_products has kept of the same samples up. */
+inline void sum_kept(int gradient, global const scalar *y, global const scalar *w, int samples, int begin, int step,
+                     global const scalar *scratch, int apart, int stride, const scalar *c, Sums *sums) {
+    for (int first = begin; first < samples; first += step) {
+        global const scalar *kept = scratch + (size_t)first * apart;
         real term[TERM_VALUES];
         if (gradient)
             UNROLLED
-            for (int i = 0; i < TERM_VALUES; ++i) term[i] = load_lanes(kept + i * LANES);
+            for (int i = 0; i < TERM_VALUES; ++i) term[i] = load_lanes(kept + i * stride);
         else
             UNROLLED
-            for (int i = 0; i < TERMS; ++i) term[term_value[i]] = load_lanes(kept + i * LANES);
-        add_sample(term, c, load_lanes(y + first), load_lanes(w + first), 0, gradient, &sums);
-        kept += stored * LANES;
+            for (int i = 0; i < TERMS; ++i) term[term_value[i]] = load_lanes(kept + i * stride);
+        add_sample(term, c, load_lanes(y + first), load_lanes(w + first), 0, gradient, sums);
     }
+}
+
+/* The same at given coefficients, without anything kept. */
+inline void sum_evaluated(global const scalar *columns, global const scalar *y, global const scalar *w, int samples,
+                          int begin, int step, global const scalar *in, const scalar *c, int logarithmic, Sums *sums) {
+    const Params p = broadcast_parameters(in);
+    for (int first = begin; first < samples; first += step) {
+        Terms f;
+        evaluate(p, load_geometry(columns, samples, first), &f);
+        add_sample((const real *)&f, c, load_lanes(y + first), load_lanes(w + first), logarithmic, 1, sums);
+    }
+}
+
+#if !SLICED
+
+inline void project_candidate(int gradient, global const scalar *columns, global const scalar *y,
+                              global const scalar *w, int samples, global const scalar *in, global scalar *scratch,
+                              global scalar *out) {
+    const int stored = gradient ? TERM_VALUES : TERMS;
+    scalar gram[GRAM], b[TERMS], c[TERMS];
+    sum_products(gradient, columns, y, w, samples, 0, LANES, in, scratch, stored, LANES, gram, b);
+    solve_coefficients(gram, b, in, c);
+    Sums sums;
+    clear_sums(&sums);
+    sum_kept(gradient, y, w, samples, 0, LANES, scratch, stored, LANES, c, &sums);
     store_sums(&sums, c, gradient, out);
 }
 
@@ -307,19 +337,132 @@ kernel void project_value(global const scalar *columns, global const scalar *y, 
 kernel void loss(global const scalar *columns, global const scalar *y, global const scalar *w, int samples,
                  int candidates, global const scalar *in, int logarithmic, global scalar *out) {
     for (int i = (int)get_global_id(0); i < candidates; i += (int)get_global_size(0)) {
-        const Params p = broadcast_parameters(in + i * IN_STRIDE);
         scalar c[TERMS];
         for (int t = 0; t < TERMS; ++t) c[t] = in[i * IN_STRIDE + PARAMETERS + t];
         Sums sums;
         clear_sums(&sums);
-        for (int first = 0; first < samples; first += LANES) {
-            Terms f;
-            evaluate(p, load_geometry(columns, samples, first), &f);
-            add_sample((const real *)&f, c, load_lanes(y + first), load_lanes(w + first), logarithmic, 1, &sums);
-        }
+        sum_evaluated(columns, y, w, samples, 0, LANES, in + i * IN_STRIDE, c, logarithmic, &sums);
         store_sums(&sums, c, 1, out + i * OUT_STRIDE);
     }
 }
+
+#else
+
+/* The same in steps, for devices with more work-items than a batch has candidates. Slice s of a candidate is its samples
+ * s, s + slices, ... (LANES each), so that neighbouring work-items read neighbouring samples. Sums of slices are added
+ * up in the slices' order: results do not depend on what ran when.
+ *
+ * Shapes: scratch candidates x TERM_VALUES x samples; products candidates x slices x (GRAM + TERMS) = gram, b;
+ * sums candidates x slices x SUMS = loss, by_unknown, normal. */
+#define SUMS (1 + UNKNOWNS + NORMALS)
+
+inline void keep_slices(int gradient, global const scalar *columns, global const scalar *y, global const scalar *w,
+                        int samples, int candidates, global const scalar *in, int slices, global scalar *scratch,
+                        global scalar *products) {
+    for (int i = (int)get_global_id(0); i < candidates * slices; i += (int)get_global_size(0)) {
+        const int candidate = i / slices;
+        scalar gram[GRAM], b[TERMS];
+        sum_products(gradient, columns, y, w, samples, (i - candidate * slices) * LANES, slices * LANES,
+                     in + candidate * IN_STRIDE, scratch + (size_t)candidate * TERM_VALUES * samples, 1, samples, gram, b);
+        global scalar *row = products + (size_t)i * (GRAM + TERMS);
+        for (int k = 0; k < GRAM; ++k) row[k] = gram[k];
+        for (int k = 0; k < TERMS; ++k) row[GRAM + k] = b[k];
+    }
+}
+
+/* Keeps terms and slopes, and sums the normal equations of the coefficients. */
+kernel void keep_terms(global const scalar *columns, global const scalar *y, global const scalar *w, int samples,
+                       int candidates, global const scalar *in, int slices, global scalar *scratch,
+                       global scalar *products) {
+    keep_slices(1, columns, y, w, samples, candidates, in, slices, scratch, products);
+}
+
+/* The same without slopes. */
+kernel void keep_values(global const scalar *columns, global const scalar *y, global const scalar *w, int samples,
+                        int candidates, global const scalar *in, int slices, global scalar *scratch,
+                        global scalar *products) {
+    keep_slices(0, columns, y, w, samples, candidates, in, slices, scratch, products);
+}
+
+/* A row of out with what no sum fills. */
+inline void begin_row(const scalar *c, global scalar *row) {
+    for (int t = 0; t < TERMS; ++t) row[1 + t] = c[t];
+    for (int k = 0; k < PARAMETERS; ++k) row[1 + 2 * TERMS + k] = 0.0;
+}
+
+/* Best coefficients of each candidate, into out. */
+kernel void solve_slices(int candidates, global const scalar *in, int slices, global const scalar *products,
+                         global scalar *out) {
+    for (int i = (int)get_global_id(0); i < candidates; i += (int)get_global_size(0)) {
+        scalar product[GRAM + TERMS], c[TERMS];
+        for (int k = 0; k < GRAM + TERMS; ++k) product[k] = 0.0;
+        for (int s = 0; s < slices; ++s)
+            for (int k = 0; k < GRAM + TERMS; ++k) product[k] += products[((size_t)i * slices + s) * (GRAM + TERMS) + k];
+        solve_coefficients(product, product + GRAM, in + i * IN_STRIDE, c);
+        begin_row(c, out + i * OUT_STRIDE);
+    }
+}
+
+inline void store_slice(const Sums *sums, int gradient, global scalar *row) {
+    row[0] = sum_lanes(sums->loss);
+    if (!gradient) return;
+    for (int k = 0; k < UNKNOWNS; ++k) row[1 + k] = sum_lanes(sums->by_unknown[k]);
+    for (int k = 0; k < NORMALS; ++k) row[1 + UNKNOWNS + k] = sum_lanes(sums->normal[k]);
+}
+
+/* Sums of each slice from what is kept, at the coefficients in out. */
+kernel void sum_slices(int gradient, global const scalar *y, global const scalar *w, int samples, int candidates,
+                       int slices, global const scalar *scratch, global const scalar *out, global scalar *slice_sums) {
+    for (int i = (int)get_global_id(0); i < candidates * slices; i += (int)get_global_size(0)) {
+        const int candidate = i / slices;
+        scalar c[TERMS];
+        for (int t = 0; t < TERMS; ++t) c[t] = out[candidate * OUT_STRIDE + 1 + t];
+        Sums sums;
+        clear_sums(&sums);
+        sum_kept(gradient, y, w, samples, (i - candidate * slices) * LANES, slices * LANES,
+                 scratch + (size_t)candidate * TERM_VALUES * samples, 1, samples, c, &sums);
+        store_slice(&sums, gradient, slice_sums + (size_t)i * SUMS);
+    }
+}
+
+/* Sums of each slice at the coefficients in `in`; logarithmic: residuals ln f - y. */
+kernel void loss_slices(global const scalar *columns, global const scalar *y, global const scalar *w, int samples,
+                        int candidates, global const scalar *in, int slices, int logarithmic, global scalar *slice_sums,
+                        global scalar *out) {
+    for (int i = (int)get_global_id(0); i < candidates * slices; i += (int)get_global_size(0)) {
+        const int candidate = i / slices;
+        scalar c[TERMS];
+        for (int t = 0; t < TERMS; ++t) c[t] = in[candidate * IN_STRIDE + PARAMETERS + t];
+        if (i == candidate * slices) begin_row(c, out + candidate * OUT_STRIDE);
+        Sums sums;
+        clear_sums(&sums);
+        sum_evaluated(columns, y, w, samples, (i - candidate * slices) * LANES, slices * LANES,
+                      in + candidate * IN_STRIDE, c, logarithmic, &sums);
+        store_slice(&sums, 1, slice_sums + (size_t)i * SUMS);
+    }
+}
+
+/* Adds slices up, a work-item a sum. */
+kernel void add_slices(int gradient, int candidates, int slices, global const scalar *slice_sums, global scalar *out) {
+    const int count = gradient ? SUMS : 1;
+    for (int i = (int)get_global_id(0); i < candidates * count; i += (int)get_global_size(0)) {
+        const int candidate = i / count;
+        const int k = i - candidate * count;
+        scalar sum = 0.0;
+        for (int s = 0; s < slices; ++s) sum += slice_sums[((size_t)candidate * slices + s) * SUMS + k];
+        global scalar *row = out + candidate * OUT_STRIDE;
+        if (k == 0)
+            row[0] = sum;
+        else if (k <= TERMS)
+            row[TERMS + k] = (scalar)2.0 * sum;
+        else if (k <= UNKNOWNS)
+            row[1 + 2 * TERMS + nonlinear_parameter[k - 1 - TERMS]] = (scalar)2.0 * sum;
+        else
+            row[1 + 2 * TERMS + PARAMETERS + (k - 1 - UNKNOWNS)] = sum;
+    }
+}
+
+#endif
 
 /* Every term and its slopes for every sample: out candidates x TERM_VALUES x samples. A work-item takes LANES samples of
  * a candidate at a time. */
