@@ -14,10 +14,12 @@ constexpr std::size_t kStackBytes = std::size_t{8} << 20;
 }  // namespace
 
 struct Broker::Fibre {
+    Fibre(Broker& broker_in, Posted posted_in) : broker(broker_in), posted(std::move(posted_in)) {}
+
     Broker& broker;
     Posted posted;
-    boost::context::fiber code{};  ///< where it goes on; empty when it is over
-    boost::context::fiber back{};  ///< where the broker goes on
+    boost::context::fiber code;  ///< where it goes on; empty when it is over
+    boost::context::fiber back;  ///< where the broker goes on
 };
 
 /// Gives the thread to others until work is over.
