@@ -233,6 +233,9 @@ int main(int argc, char** argv) {
                                                             {"full", optim::BenchLength::full}};
     bench_fit_command->add_option("--length", bench_length, "brief, standard or full")
         ->transform(CLI::CheckedTransformer(lengths));
+    bool one_by_one = false;
+    bench_fit_command->add_flag("--one-by-one", one_by_one,
+                                "Launch each candidate alone and wait for it: what batching is measured against");
     bool bench_json = false;
     for (CLI::App* command : {bench_device_command, bench_fit_command})
         command->add_flag("--json", bench_json, "Print JSON instead of a table");
@@ -271,6 +274,7 @@ int main(int argc, char** argv) {
         engine_options.cache =
             cache_folder.empty() ? kernels::default_cache_folder() : std::filesystem::absolute(cache_folder);
     engine_options.builder = "/proc/self/exe";
+    engine_options.one_by_one = one_by_one;
     serve_options.engine = fit_arguments.engine = engine_options;
     try {
         if (build->parsed()) kernels::build_programs(build_device, build_folder);

@@ -25,6 +25,7 @@ DeviceInfo describe(const cl::Device& device) {
     info.type = (type & CL_DEVICE_TYPE_GPU) ? "gpu" : (type & CL_DEVICE_TYPE_CPU) ? "cpu" : "accelerator";
     info.has_double = device.getInfo<CL_DEVICE_DOUBLE_FP_CONFIG>() != 0;
     info.compute_units = device.getInfo<CL_DEVICE_MAX_COMPUTE_UNITS>();
+    info.runs_inline = info.platform == "Portable Computing Language" && info.name.starts_with("basic");
     return info;
 }
 
@@ -85,15 +86,16 @@ DeviceError device_error(const cl::Error& error) {
     return DeviceError(std::string(error.what()) + " failed with OpenCL code " + std::to_string(error.err()));
 }
 
-std::string program_text(const Model& model, Precision precision, unsigned lanes, Accuracy accuracy) {
+std::string program_text(const Model& model, Precision precision, unsigned lanes, Accuracy accuracy, bool sliced) {
     const auto part = [](std::string_view file, std::string_view text) {
         return "#line 1 \"" + std::string(file) + "\"\n" + std::string(text) + "\n";
     };
     return "#define REAL_IS_DOUBLE " + std::string(precision == Precision::double_precision ? "1" : "0") +
-           "\n#define SEARCH_ACCURACY " + (accuracy == Accuracy::search ? "1" : "0") + "\n#define LANES " +
-           std::to_string(lanes) + "\n" + part("prelude.cl", kPreludeText) + part("geometry", geometry_prelude()) +
-           part("special.cl", kSpecialText) + part(model.file + " header", model.prelude) +
-           part(model.file, model.text) + part("residual.cl", kResidualText);
+           "\n#define SEARCH_ACCURACY " + (accuracy == Accuracy::search ? "1" : "0") + "\n#define SLICED " +
+           (sliced ? "1" : "0") + "\n#define LANES " + std::to_string(lanes) + "\n" + part("prelude.cl", kPreludeText) +
+           part("geometry", geometry_prelude()) + part("special.cl", kSpecialText) +
+           part(model.file + " header", model.prelude) + part(model.file, model.text) +
+           part("residual.cl", kResidualText);
 }
 
 unsigned Engine::Impl::native_lanes(Precision precision) const {
@@ -122,7 +124,7 @@ ProgramSource Engine::Impl::source(const Model& model, Precision precision, Accu
             flags += " -cl-fp32-correctly-rounded-divide-sqrt";
     }
     if (!options.build_options.empty()) flags += " " + options.build_options;
-    return {program_text(model, precision, lanes(precision), accuracy), flags};
+    return {program_text(model, precision, lanes(precision), accuracy, sliced()), flags};
 }
 
 cl::Program Engine::Impl::program(const Model& model, Precision precision, Accuracy accuracy) {
@@ -165,6 +167,8 @@ Engine::Engine(const EngineOptions& options) : impl_(std::make_unique<Impl>()) {
 Engine::~Engine() = default;
 
 const DeviceInfo& Engine::device() const { return impl_->info; }
+
+bool Engine::overlaps() const { return !impl_->info.runs_inline && !impl_->options.one_by_one; }
 
 Precision Engine::best_precision() const {
     const auto no_double = refusal(Precision::double_precision);

@@ -22,6 +22,7 @@ struct DeviceInfo {
     std::string type;     ///< "cpu", "gpu" or "accelerator"
     bool has_double = false;
     unsigned compute_units = 1;
+    bool runs_inline = false;  ///< a launch runs in the thread that asks for it, as on PoCL's "basic"
 
     bool operator==(const DeviceInfo&) const = default;
 };
@@ -60,6 +61,12 @@ struct EngineOptions {
     /// The executable that calls build_programs() when run as `builder build-programs DEVICE FOLDER`. With it and
     /// `cache` PoCL compiles in processes of its own, several at once. Empty: in this process.
     std::string builder{};
+    /// Kernels that give a work-item a slice of a candidate's samples, for devices with more work-items than a batch
+    /// has candidates; else it takes a whole candidate. Results agree to rounding. Unset: slices unless the device is a
+    /// CPU.
+    std::optional<bool> sliced{};
+    /// Every candidate is launched alone and waited for: what batching is measured against.
+    bool one_by_one = false;
 };
 
 /// One device with a cache of programs by (model, precision, accuracy). Safe to use from several threads; create the
@@ -74,6 +81,8 @@ public:
     Engine& operator=(const Engine&) = delete;
 
     [[nodiscard]] const DeviceInfo& device() const;
+    /// Whether searches should have launches under way at the same time instead of a thread each.
+    [[nodiscard]] bool overlaps() const;
     /// The most precise arithmetic that may be used. Throws PrecisionError if none may.
     [[nodiscard]] Precision best_precision() const;
     /// The quickest arithmetic that may be used: single where it may. Throws PrecisionError if none may.
@@ -111,6 +120,7 @@ std::vector<DeviceInfo> list_devices();
 void build_programs(const std::string& device, const std::filesystem::path& folder);
 
 /// The whole kernel text of a model, as it goes to the compiler.
-std::string program_text(const Model& model, Precision precision, unsigned lanes, Accuracy accuracy = Accuracy::full);
+std::string program_text(const Model& model, Precision precision, unsigned lanes, Accuracy accuracy = Accuracy::full,
+                         bool sliced = false);
 
 }  // namespace brdfit::kernels

@@ -23,6 +23,7 @@ struct Engine::Impl {
 
     std::map<Precision, unsigned> lanes_chosen;  // set from the constructor on
 
+    [[nodiscard]] bool sliced() const { return options.sliced.value_or(info.type != "cpu"); }
     [[nodiscard]] unsigned native_lanes(Precision precision) const;
     [[nodiscard]] unsigned lanes(Precision precision) const { return lanes_chosen.at(precision); }
     [[nodiscard]] std::optional<std::string> refusal(Precision precision) const;

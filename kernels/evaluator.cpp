@@ -12,15 +12,61 @@
 #include <boost/geometry/geometries/polygon.hpp>
 
 #include "kernels/engine_impl.h"
+#include "kernels/waiting.h"
 
 namespace brdfit::kernels {
 namespace {
 
 /// The most bytes of scratch that a launch may take.
 constexpr std::size_t kScratchBytes = std::size_t{64} << 20;
+/// Samples of a slice: few, as a batch of ten candidates shall fill a GPU.
+constexpr std::size_t kSlice = 16;
+/// Work-items of a work-group of a GPU.
+constexpr std::size_t kGroup = 64;
+/// Most work-items of a launch on a CPU; each has scratch of its own.
+constexpr unsigned kMostCores = 8;
 
 std::size_t size_of(Precision precision) {
     return precision == Precision::double_precision ? sizeof(double) : sizeof(float);
+}
+
+/// What an event of a queue stands for.
+class UntilEvent : public Underway {
+public:
+    explicit UntilEvent(cl::Event event) : event_(std::move(event)) {}
+
+    void when_over(void (*done)(void*), void* context) override {
+        done_ = done;
+        context_ = context;
+        event_.setCallback(
+            CL_COMPLETE,
+            [](cl_event, cl_int, void* self) {
+                const auto& until = *static_cast<const UntilEvent*>(self);
+                until.done_(until.context_);
+            },
+            this);
+    }
+
+private:
+    cl::Event event_;
+    void (*done_)(void*) = nullptr;
+    void* context_ = nullptr;
+};
+
+}  // namespace
+
+namespace {
+
+/// Filled as it is made: no command that would wait behind others' launches.
+cl::Buffer constant_buffer(const cl::Context& context, Precision precision, std::span<const double> values) {
+    constexpr cl_mem_flags kFlags = CL_MEM_READ_ONLY | CL_MEM_COPY_HOST_PTR;
+    if (values.empty()) return {context, CL_MEM_READ_ONLY, size_of(precision)};
+    if (precision == Precision::double_precision) {
+        std::vector<double> copy(values.begin(), values.end());  // the call takes no constants
+        return {context, kFlags, copy.size() * sizeof(double), copy.data()};
+    }
+    std::vector<float> single(values.begin(), values.end());
+    return {context, kFlags, single.size() * sizeof(float), single.data()};
 }
 
 }  // namespace
@@ -29,8 +75,7 @@ struct DirectionSet::Impl {
     explicit Impl(std::vector<Direction> list) : directions(std::move(list)) {}
 
     /// The columns on the device, samples padded by copies of the last.
-    cl::Buffer columns(const Engine::Impl& shared, const cl::CommandQueue& queue, Precision precision,
-                       std::size_t padded) {
+    cl::Buffer columns(const Engine::Impl& shared, Precision precision, std::size_t padded) {
         const std::lock_guard lock(mutex);
         cl::Buffer& buffer = buffers[{shared.context(), precision, padded}];
         if (buffer() != nullptr) return buffer;
@@ -41,16 +86,7 @@ struct DirectionSet::Impl {
         for (std::size_t i = 0; i < table.size(); ++i)
             for (std::size_t j = 0; j < padded; ++j)
                 values.push_back(table[i].rounded(unrounded[i * n + std::min(j, n - 1)], precision));
-        cl::Buffer made(shared.context, CL_MEM_READ_ONLY, std::max<std::size_t>(1, values.size()) * size_of(precision));
-        if (!values.empty()) {
-            if (precision == Precision::double_precision) {
-                queue.enqueueWriteBuffer(made, CL_TRUE, 0, values.size() * sizeof(double), values.data());
-            } else {
-                const std::vector<float> single(values.begin(), values.end());
-                queue.enqueueWriteBuffer(made, CL_TRUE, 0, single.size() * sizeof(float), single.data());
-            }
-        }
-        return buffer = made;
+        return buffer = constant_buffer(shared.context, precision, values);
     }
 
     std::vector<std::pair<double, double>> hull(std::size_t a, std::size_t b) {
@@ -113,24 +149,34 @@ struct Evaluator::Impl {
           nonlinear(model.nonlinear().size()),
           queue(shared.context, shared.device) {
         const cl::Program program = shared.program(model, precision, accuracy);
-        project = cl::Kernel(program, "project");
-        project_value = cl::Kernel(program, "project_value");
-        loss = cl::Kernel(program, "loss");
+        project = cl::Kernel(program, sliced ? "keep_terms" : "project");
+        project_value = cl::Kernel(program, sliced ? "keep_values" : "project_value");
+        loss = cl::Kernel(program, sliced ? "loss_slices" : "loss");
         terms = cl::Kernel(program, "terms");
+        if (sliced) {
+            solve = cl::Kernel(program, "solve_slices");
+            sum = cl::Kernel(program, "sum_slices");
+            add = cl::Kernel(program, "add_slices");
+        }
 
-        columns_buffer = directions.impl().columns(shared, queue, precision, padded);
+        columns_buffer = directions.impl().columns(shared, precision, padded);
         const auto pad = [&](std::span<const double> values) {
             std::vector<double> result(values.begin(), values.end());
             result.resize(padded, 0.0);
             return result;
         };
-        upload(y_buffer, pad(y));
-        upload(w_buffer, pad(w));
+        y_buffer = constant_buffer(shared.context, precision, pad(y));
+        w_buffer = constant_buffer(shared.context, precision, pad(w));
         for (cl::Kernel* kernel : {&project, &project_value, &loss}) {
             kernel->setArg(0, columns_buffer);
             kernel->setArg(1, y_buffer);
             kernel->setArg(2, w_buffer);
             kernel->setArg(3, static_cast<cl_int>(padded));
+        }
+        if (sliced) {
+            sum.setArg(1, y_buffer);
+            sum.setArg(2, w_buffer);
+            sum.setArg(3, static_cast<cl_int>(padded));
         }
         terms.setArg(0, columns_buffer);
         terms.setArg(1, static_cast<cl_int>(padded));
@@ -143,24 +189,53 @@ struct Evaluator::Impl {
             buffer = cl::Buffer(shared.context, CL_MEM_READ_WRITE, bytes);
     }
 
+    /// `values` must stay as they are until the next download() returns.
     void upload(cl::Buffer& buffer, std::span<const double> values) {
         reserve(buffer, values.size());
         if (values.empty()) return;
+        const cl_bool blocking = waiter_of_thread() == nullptr ? CL_TRUE : CL_FALSE;
         if (precision == Precision::double_precision) {
-            queue.enqueueWriteBuffer(buffer, CL_TRUE, 0, values.size_bytes(), values.data());
+            queue.enqueueWriteBuffer(buffer, blocking, 0, values.size_bytes(), values.data());
         } else {
-            single.assign(values.begin(), values.end());
-            queue.enqueueWriteBuffer(buffer, CL_TRUE, 0, single.size() * sizeof(float), single.data());
+            single_up.assign(values.begin(), values.end());
+            queue.enqueueWriteBuffer(buffer, blocking, 0, single_up.size() * sizeof(float), single_up.data());
         }
     }
 
+    /// Returns when all that was enqueued is over.
     void download(const cl::Buffer& buffer, std::span<double> values) {
         if (precision == Precision::double_precision) {
-            queue.enqueueReadBuffer(buffer, CL_TRUE, 0, values.size_bytes(), values.data());
+            read(buffer, values.size_bytes(), values.data());
         } else {
-            single.resize(values.size());
-            queue.enqueueReadBuffer(buffer, CL_TRUE, 0, single.size() * sizeof(float), single.data());
-            std::copy(single.begin(), single.end(), values.begin());
+            single_down.resize(values.size());
+            read(buffer, single_down.size() * sizeof(float), single_down.data());
+            std::copy(single_down.begin(), single_down.end(), values.begin());
+        }
+    }
+
+    void read(const cl::Buffer& buffer, std::size_t bytes, void* to) {
+        Waiter* const waiter = waiter_of_thread();
+        if (waiter == nullptr) {
+            queue.enqueueReadBuffer(buffer, CL_TRUE, 0, bytes, to);
+            return;
+        }
+        cl::Event event;
+        queue.enqueueReadBuffer(buffer, CL_FALSE, 0, bytes, to, nullptr, &event);
+        queue.flush();
+        UntilEvent until(event);
+        waiter->wait(until);
+        if (const cl_int status = event.getInfo<CL_EVENT_COMMAND_EXECUTION_STATUS>(); status < 0)
+            throw cl::Error(status, "a launch");
+    }
+
+    /// Does `work`, which enqueues and downloads; if it fails, nothing is left under way in this evaluator's memory.
+    template <typename Work>
+    void guarded(const Work& work) {
+        try {
+            work();
+        } catch (...) {
+            ::clFinish(queue());  // that it fails, too, is no news
+            throw;
         }
     }
 
@@ -173,26 +248,86 @@ struct Evaluator::Impl {
         return 1 + 2 * model.terms.size() + model.parameters.size() + normals();
     }
 
-    /// Candidates whose terms fit into one launch's scratch.
-    [[nodiscard]] std::size_t launch_limit() const {
-        const std::size_t bytes = padded * model.term_values() * size_of(precision);
-        return std::max<std::size_t>(1, kScratchBytes / std::max<std::size_t>(bytes, 1));
+    /// Scalars of scratch for a work-item's candidate; sliced: for a candidate of a launch.
+    [[nodiscard]] std::size_t terms_stride() const { return padded * model.term_values(); }
+    [[nodiscard]] std::size_t slices() const {
+        const std::size_t apart = std::max<std::size_t>(kSlice, lanes);
+        return std::max<std::size_t>(1, (padded + apart - 1) / apart);
+    }
+    [[nodiscard]] std::size_t products_stride() const {
+        const std::size_t t = model.terms.size();
+        return slices() * (t * (t + 1) / 2 + t);
+    }
+    [[nodiscard]] std::size_t sums_stride() const {
+        return slices() * (1 + model.terms.size() + nonlinear + normals());
     }
 
-    /// On a CPU one work-item takes everything: it runs in this thread, other threads run other launches. And PoCL 3.1
-    /// keeps a loaded kernel for each width of grid but looks only at the kernel when it lets go of one: two widths in
-    /// two threads end the process ("found->ref_count > 0").
+    /// Candidates whose terms fit into one launch's scratch.
+    [[nodiscard]] std::size_t launch_limit() const {
+        const std::size_t scalars = terms_stride() + (sliced ? products_stride() + sums_stride() : 0);
+        return std::max<std::size_t>(1, kScratchBytes / std::max<std::size_t>(scalars * size_of(precision), 1));
+    }
+
+    /// Work-items of a launch. On a CPU always the same number: PoCL 3.1 keeps a loaded kernel for each width of grid
+    /// but looks only at the kernel when it lets go of one, and two widths in two threads end the process
+    /// ("found->ref_count > 0"). It is one where that runs in this thread, other threads run other launches.
     [[nodiscard]] std::size_t width(std::size_t items) const {
-        return shared.info.type == "cpu" ? 1 : std::min(items, launch_limit());
+        if (shared.info.type == "cpu")
+            return shared.info.runs_inline ? 1 : std::min(shared.info.compute_units, kMostCores);
+        return std::min(items, launch_limit());
     }
 
     void launch(const cl::Kernel& kernel, std::size_t items) {
-        queue.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange(width(items)), cl::NDRange(1));
+        if (sliced && shared.info.type != "cpu") {
+            const std::size_t groups = (items + kGroup - 1) / kGroup;
+            queue.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange(groups * kGroup), cl::NDRange(kGroup));
+        } else {
+            queue.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange(width(items)), cl::NDRange(1));
+        }
     }
 
-    /// Runs `kernel` over the candidates; its arguments are set but for their number, in and out.
+    /// Slices of the candidates in in_buffer, added up in out_buffer. `first` is keep_terms or keep_values, or loss.
+    void launch_slices(cl::Kernel& first, std::size_t candidates, bool gradient, std::optional<bool> logarithmic) {
+        const auto n = static_cast<cl_int>(candidates);
+        const auto per_candidate = static_cast<cl_int>(slices());
+        reserve(sums_buffer, candidates * sums_stride());
+        first.setArg(6, per_candidate);
+        if (logarithmic) {
+            first.setArg(7, static_cast<cl_int>(*logarithmic));
+            first.setArg(8, sums_buffer);
+            first.setArg(9, out_buffer);
+            launch(first, candidates * slices());
+        } else {
+            reserve(scratch_buffer, candidates * terms_stride());
+            reserve(products_buffer, candidates * products_stride());
+            first.setArg(7, scratch_buffer);
+            first.setArg(8, products_buffer);
+            launch(first, candidates * slices());
+            solve.setArg(0, n);
+            solve.setArg(1, in_buffer);
+            solve.setArg(2, per_candidate);
+            solve.setArg(3, products_buffer);
+            solve.setArg(4, out_buffer);
+            launch(solve, candidates);
+            sum.setArg(0, static_cast<cl_int>(gradient));
+            sum.setArg(4, n);
+            sum.setArg(5, per_candidate);
+            sum.setArg(6, scratch_buffer);
+            sum.setArg(7, out_buffer);
+            sum.setArg(8, sums_buffer);
+            launch(sum, candidates * slices());
+        }
+        add.setArg(0, static_cast<cl_int>(gradient));
+        add.setArg(1, n);
+        add.setArg(2, per_candidate);
+        add.setArg(3, sums_buffer);
+        add.setArg(4, out_buffer);
+        launch(add, candidates * (gradient ? sums_stride() / slices() : 1));
+    }
+
+    /// Runs `kernel` over the candidates, in as many launches as it takes. logarithmic: the kernel is `loss`.
     void run(cl::Kernel& kernel, std::span<const double> parameters, std::span<const double> lower,
-             std::span<const double> upper, cl_uint out_argument, bool gradient, Batch& out) {
+             std::span<const double> upper, bool gradient, std::optional<bool> logarithmic, Batch& out) {
         const std::size_t p = model.parameters.size();
         const std::size_t t = model.terms.size();
         const std::size_t candidates = parameters.size() / p;
@@ -200,6 +335,9 @@ struct Evaluator::Impl {
             out = {};
             return;
         }
+        const std::size_t most = shared.options.one_by_one ? 1
+                                 : sliced                  ? std::min(launch_limit(), candidates)
+                                                           : candidates;
         rows.resize(candidates * in_stride());
         for (std::size_t i = 0; i < candidates; ++i) {
             double* row = rows.data() + i * in_stride();
@@ -207,14 +345,29 @@ struct Evaluator::Impl {
             std::copy_n(lower.data() + i * t, t, row + p);
             std::copy_n(upper.data() + i * t, t, row + p + t);
         }
-        upload(in_buffer, rows);
-        reserve(out_buffer, candidates * out_stride());
-        kernel.setArg(4, static_cast<cl_int>(candidates));
-        kernel.setArg(5, in_buffer);
-        kernel.setArg(out_argument, out_buffer);
-        launch(kernel, candidates);
-        rows.resize(candidates * out_stride());
-        download(out_buffer, rows);
+        results.resize(candidates * out_stride());
+        reserve(out_buffer, most * out_stride());
+        for (std::size_t first = 0; first < candidates; first += most) {
+            const std::size_t n = std::min(most, candidates - first);
+            guarded([&] {
+                upload(in_buffer, std::span(rows).subspan(first * in_stride(), n * in_stride()));
+                kernel.setArg(4, static_cast<cl_int>(n));
+                kernel.setArg(5, in_buffer);
+                if (sliced) {
+                    launch_slices(kernel, n, gradient, logarithmic);
+                } else {
+                    if (logarithmic) {
+                        kernel.setArg(6, static_cast<cl_int>(*logarithmic));
+                    } else {
+                        reserve(scratch_buffer, width(n) * terms_stride());
+                        kernel.setArg(6, scratch_buffer);
+                    }
+                    kernel.setArg(7, out_buffer);
+                    launch(kernel, n);
+                }
+                download(out_buffer, std::span(results).subspan(first * out_stride(), n * out_stride()));
+            });
+        }
 
         out.loss.resize(candidates);
         out.coefficients.resize(candidates * t);
@@ -222,7 +375,7 @@ struct Evaluator::Impl {
         out.by_parameter.resize(gradient ? candidates * p : 0);
         out.normal.resize(gradient ? candidates * normals() : 0);
         for (std::size_t i = 0; i < candidates; ++i) {
-            const double* row = rows.data() + i * out_stride();
+            const double* row = results.data() + i * out_stride();
             out.loss[i] = *row++;
             std::copy_n(row, t, out.coefficients.data() + i * t);
             if (!gradient) continue;
@@ -240,12 +393,15 @@ struct Evaluator::Impl {
     std::size_t count;
     std::size_t padded;
     std::size_t nonlinear;
+    bool sliced = shared.sliced();
     cl::CommandQueue queue;
     cl::Kernel project, project_value, loss, terms;
+    cl::Kernel solve, sum, add;  // sliced only
     cl::Buffer columns_buffer, y_buffer, w_buffer;
     cl::Buffer in_buffer, scratch_buffer, out_buffer;
-    std::vector<float> single;  // staging for conversions
-    std::vector<double> rows;
+    cl::Buffer products_buffer, sums_buffer;    // sliced only
+    std::vector<float> single_up, single_down;  // staging for conversions
+    std::vector<double> rows, results;
 };
 
 Evaluator::Evaluator(Engine& engine, const Model& model, Precision precision, const DirectionSet& directions,
@@ -265,20 +421,14 @@ std::size_t Evaluator::samples() const { return impl_->count; }
 void Evaluator::project(std::span<const double> parameters, std::span<const double> lower,
                         std::span<const double> upper, bool gradient, Batch& out) try {
     Impl& m = *impl_;
-    cl::Kernel& kernel = gradient ? m.project : m.project_value;
-    m.reserve(m.scratch_buffer,
-              m.width(parameters.size() / m.model.parameters.size()) * m.padded * m.model.term_values());
-    kernel.setArg(6, m.scratch_buffer);
-    m.run(kernel, parameters, lower, upper, 7, gradient, out);
+    m.run(gradient ? m.project : m.project_value, parameters, lower, upper, gradient, {}, out);
 } catch (const cl::Error& error) {
     throw device_error(error);
 }
 
 void Evaluator::loss(std::span<const double> parameters, std::span<const double> coefficients, bool logarithmic,
                      Batch& out) try {
-    Impl& m = *impl_;
-    m.loss.setArg(6, static_cast<cl_int>(logarithmic));
-    m.run(m.loss, parameters, coefficients, coefficients, 7, true, out);
+    impl_->run(impl_->loss, parameters, coefficients, coefficients, true, logarithmic, out);
 } catch (const cl::Error& error) {
     throw device_error(error);
 }
@@ -292,16 +442,18 @@ std::vector<double> Evaluator::terms(std::span<const double> parameters) try {
     result.reserve(candidates * values * m.count);
     for (std::size_t first = 0; first < candidates; first += m.launch_limit()) {
         const std::size_t n = std::min(m.launch_limit(), candidates - first);
-        m.upload(m.in_buffer, parameters.subspan(first * p, n * p));
-        m.reserve(m.scratch_buffer, n * values * m.padded);
-        m.terms.setArg(2, static_cast<cl_int>(n));
-        m.terms.setArg(3, m.in_buffer);
-        m.terms.setArg(4, m.scratch_buffer);
-        m.launch(m.terms, n * m.padded / m.lanes);
-        m.rows.resize(n * values * m.padded);
-        m.download(m.scratch_buffer, m.rows);
+        m.results.resize(n * values * m.padded);
+        m.guarded([&] {
+            m.upload(m.in_buffer, parameters.subspan(first * p, n * p));
+            m.reserve(m.scratch_buffer, n * values * m.padded);
+            m.terms.setArg(2, static_cast<cl_int>(n));
+            m.terms.setArg(3, m.in_buffer);
+            m.terms.setArg(4, m.scratch_buffer);
+            m.launch(m.terms, n * m.padded / m.lanes);
+            m.download(m.scratch_buffer, m.results);
+        });
         for (std::size_t row = 0; row < n * values; ++row) {
-            const auto begin = m.rows.begin() + static_cast<std::ptrdiff_t>(row * m.padded);
+            const auto begin = m.results.begin() + static_cast<std::ptrdiff_t>(row * m.padded);
             result.insert(result.end(), begin, begin + static_cast<std::ptrdiff_t>(m.count));
         }
     }

@@ -40,7 +40,8 @@ struct Batch {
     std::vector<double> normal;
 };
 
-/// Owns its queue, kernels and device buffers. Not for two threads at once; use one each.
+/// Owns its queue, kernels and device buffers. Not for two threads at once; use one each. Where the calling thread has
+/// a Waiter (kernels/waiting.h), a launch is left to it to wait for; else it blocks.
 class Evaluator {
 public:
     /// Residuals are r = f - y, with weight w >= 0; all three have one entry a sample. For `loss` with `logarithmic`

@@ -291,6 +291,19 @@ INLINED void evaluate(Params p, Geometry s, Terms *f) {
     }
 }
 
+/* Adds samples begin, begin + step, ... (LANES each) up at given coefficients. */
+INLINED void sum_evaluated(global const scalar *columns, global const scalar *y, global const scalar *w, int samples,
+                          int begin, int step, global const scalar *in, const scalar *c, int logarithmic, Sums *sums) {
+    const Params p = broadcast_parameters(in);
+    for (int first = begin; first < samples; first += step) {
+        Terms f;
+        evaluate(p, load_geometry(columns, samples, first), &f);
+        add_sample((const real *)&f, c, load_lanes(y + first), load_lanes(w + first), logarithmic, sums);
+    }
+}
+
+#if !SLICED
+
 /* Rows `row` and the next of product_sum += sum w v v' over `vectors` times LANES samples, whose values v (Terms) stand in
  * `kept`. The sums of two rows stay in registers; those of all rows would not. A macro, as compilers unroll no loop whose
  * bounds they see only once the function around it is inlined; ADD_ALL_ROWS, from the host, names every second row. */
@@ -462,19 +475,203 @@ kernel void project_value(global const scalar *columns, global const scalar *y, 
 kernel void loss(global const scalar *columns, global const scalar *y, global const scalar *w, int samples,
                  int candidates, global const scalar *in, int logarithmic, global scalar *out) {
     for (int i = (int)get_global_id(0); i < candidates; i += (int)get_global_size(0)) {
-        const Params p = broadcast_parameters(in + i * IN_STRIDE);
         scalar c[TERMS];
         for (int t = 0; t < TERMS; ++t) c[t] = in[i * IN_STRIDE + PARAMETERS + t];
         Sums sums;
         clear_sums(&sums);
-        for (int first = 0; first < samples; first += LANES) {
-            Terms f;
-            evaluate(p, load_geometry(columns, samples, first), &f);
-            add_sample((const real *)&f, c, load_lanes(y + first), load_lanes(w + first), logarithmic, &sums);
-        }
+        sum_evaluated(columns, y, w, samples, 0, LANES, in + i * IN_STRIDE, c, logarithmic, &sums);
         store_sums(&sums, c, out + i * OUT_STRIDE);
     }
 }
+
+#else
+
+#define GRAM (TERMS * (TERMS + 1) / 2)
+
+/* The normal equations of one candidate's coefficients, over samples begin, begin + step, ... (LANES each): gram and b.
+ * Its terms at sample `first` are kept at scratch + first * apart, each `stride` from the next. */
+INLINED void sum_products(int gradient, global const scalar *columns, global const scalar *y, global const scalar *w,
+                         int samples, int begin, int step, global const scalar *in, global scalar *scratch, int apart,
+                         int stride, scalar *gram, scalar *b) {
+    const Params p = broadcast_parameters(in);
+    real gram_sum[GRAM], b_sum[TERMS];
+    UNROLLED
+    for (int i = 0; i < GRAM; ++i) gram_sum[i] = 0.0;
+    UNROLLED
+    for (int i = 0; i < TERMS; ++i) b_sum[i] = 0.0;
+    for (int first = begin; first < samples; first += step) {
+        global scalar *kept = scratch + (size_t)first * apart;
+        Terms f;
+        evaluate(p, load_geometry(columns, samples, first), &f);
+        const real *term = (const real *)&f;
+        const real weight = load_lanes(w + first);
+        const real measured = load_lanes(y + first);
+        UNROLLED
+        for (int i = 0; i < TERMS; ++i) {
+            const real weighted = weight * term[term_value[i]];
+            b_sum[i] += weighted * measured;
+            UNROLLED
+            for (int j = i; j < TERMS; ++j) gram_sum[gram_index(i, j)] += weighted * term[term_value[j]];
+        }
+        if (gradient)
+            UNROLLED
+            for (int i = 0; i < TERM_VALUES; ++i) store_lanes(term[i], kept + i * stride);
+        else
+            UNROLLED
+            for (int i = 0; i < TERMS; ++i) store_lanes(term[term_value[i]], kept + i * stride);
+    }
+    for (int i = 0; i < GRAM; ++i) gram[i] = sum_lanes(gram_sum[i]);
+    for (int i = 0; i < TERMS; ++i) b[i] = sum_lanes(b_sum[i]);
+}
+
+/* The best coefficients within the candidate's bounds. */
+INLINED void solve_coefficients(scalar *gram, scalar *b, global const scalar *in, scalar *c) {
+    scalar low[TERMS], high[TERMS];
+    for (int i = 0; i < TERMS; ++i) {
+        low[i] = in[PARAMETERS + i];
+        high[i] = in[PARAMETERS + TERMS + i];
+    }
+    solve_bounded(gram, b, low, high, c);
+}
+
+/* Adds what sum_products has kept of the same samples up. */
+INLINED void sum_kept(int gradient, global const scalar *y, global const scalar *w, int samples, int begin, int step,
+                     global const scalar *scratch, int apart, int stride, const scalar *c, Sums *sums) {
+    for (int first = begin; first < samples; first += step) {
+        global const scalar *kept = scratch + (size_t)first * apart;
+        real term[TERM_VALUES];
+        if (gradient)
+            UNROLLED
+            for (int i = 0; i < TERM_VALUES; ++i) term[i] = load_lanes(kept + i * stride);
+        else
+            UNROLLED
+            for (int i = 0; i < TERMS; ++i) term[term_value[i]] = load_lanes(kept + i * stride);
+        if (gradient)
+            add_sample(term, c, load_lanes(y + first), load_lanes(w + first), 0, sums);
+        else {
+            real residual = -load_lanes(y + first);
+            UNROLLED
+            for (int t = 0; t < TERMS; ++t) residual += c[t] * term[term_value[t]];
+            sums->loss += load_lanes(w + first) * sqr(residual);
+        }
+    }
+}
+
+/* The same in steps, for devices with more work-items than a batch has candidates. Slice s of a candidate is its samples
+ * s, s + slices, ... (LANES each), so that neighbouring work-items read neighbouring samples. Sums of slices are added
+ * up in the slices' order: results do not depend on what ran when.
+ *
+ * Shapes: scratch candidates x TERM_VALUES x samples; products candidates x slices x (GRAM + TERMS) = gram, b;
+ * sums candidates x slices x SUMS = loss, by_unknown, normal. */
+#define SUMS (1 + UNKNOWNS + NORMALS)
+
+INLINED void keep_slices(int gradient, global const scalar *columns, global const scalar *y, global const scalar *w,
+                        int samples, int candidates, global const scalar *in, int slices, global scalar *scratch,
+                        global scalar *products) {
+    for (int i = (int)get_global_id(0); i < candidates * slices; i += (int)get_global_size(0)) {
+        const int candidate = i / slices;
+        scalar gram[GRAM], b[TERMS];
+        sum_products(gradient, columns, y, w, samples, (i - candidate * slices) * LANES, slices * LANES,
+                     in + candidate * IN_STRIDE, scratch + (size_t)candidate * TERM_VALUES * samples, 1, samples, gram, b);
+        global scalar *row = products + (size_t)i * (GRAM + TERMS);
+        for (int k = 0; k < GRAM; ++k) row[k] = gram[k];
+        for (int k = 0; k < TERMS; ++k) row[GRAM + k] = b[k];
+    }
+}
+
+/* Keeps terms and slopes, and sums the normal equations of the coefficients. */
+kernel void keep_terms(global const scalar *columns, global const scalar *y, global const scalar *w, int samples,
+                       int candidates, global const scalar *in, int slices, global scalar *scratch,
+                       global scalar *products) {
+    keep_slices(1, columns, y, w, samples, candidates, in, slices, scratch, products);
+}
+
+/* The same without slopes. */
+kernel void keep_values(global const scalar *columns, global const scalar *y, global const scalar *w, int samples,
+                        int candidates, global const scalar *in, int slices, global scalar *scratch,
+                        global scalar *products) {
+    keep_slices(0, columns, y, w, samples, candidates, in, slices, scratch, products);
+}
+
+/* A row of out with what no sum fills. */
+INLINED void begin_row(const scalar *c, global scalar *row) {
+    for (int t = 0; t < TERMS; ++t) row[1 + t] = c[t];
+    for (int k = 0; k < PARAMETERS; ++k) row[1 + 2 * TERMS + k] = 0.0;
+}
+
+/* Best coefficients of each candidate, into out. */
+kernel void solve_slices(int candidates, global const scalar *in, int slices, global const scalar *products,
+                         global scalar *out) {
+    for (int i = (int)get_global_id(0); i < candidates; i += (int)get_global_size(0)) {
+        scalar product[GRAM + TERMS], c[TERMS];
+        for (int k = 0; k < GRAM + TERMS; ++k) product[k] = 0.0;
+        for (int s = 0; s < slices; ++s)
+            for (int k = 0; k < GRAM + TERMS; ++k) product[k] += products[((size_t)i * slices + s) * (GRAM + TERMS) + k];
+        solve_coefficients(product, product + GRAM, in + i * IN_STRIDE, c);
+        begin_row(c, out + i * OUT_STRIDE);
+    }
+}
+
+INLINED void store_slice(const Sums *sums, int gradient, global scalar *row) {
+    row[0] = sum_lanes(sums->loss);
+    if (!gradient) return;
+    for (int k = 0; k < UNKNOWNS; ++k) row[1 + k] = sum_lanes(sums->by_unknown[k]);
+    for (int k = 0; k < NORMALS; ++k) row[1 + UNKNOWNS + k] = sum_lanes(sums->normal[k]);
+}
+
+/* Sums of each slice from what is kept, at the coefficients in out. */
+kernel void sum_slices(int gradient, global const scalar *y, global const scalar *w, int samples, int candidates,
+                       int slices, global const scalar *scratch, global const scalar *out, global scalar *slice_sums) {
+    for (int i = (int)get_global_id(0); i < candidates * slices; i += (int)get_global_size(0)) {
+        const int candidate = i / slices;
+        scalar c[TERMS];
+        for (int t = 0; t < TERMS; ++t) c[t] = out[candidate * OUT_STRIDE + 1 + t];
+        Sums sums;
+        clear_sums(&sums);
+        sum_kept(gradient, y, w, samples, (i - candidate * slices) * LANES, slices * LANES,
+                 scratch + (size_t)candidate * TERM_VALUES * samples, 1, samples, c, &sums);
+        store_slice(&sums, gradient, slice_sums + (size_t)i * SUMS);
+    }
+}
+
+/* Sums of each slice at the coefficients in `in`; logarithmic: residuals ln f - y. */
+kernel void loss_slices(global const scalar *columns, global const scalar *y, global const scalar *w, int samples,
+                        int candidates, global const scalar *in, int slices, int logarithmic, global scalar *slice_sums,
+                        global scalar *out) {
+    for (int i = (int)get_global_id(0); i < candidates * slices; i += (int)get_global_size(0)) {
+        const int candidate = i / slices;
+        scalar c[TERMS];
+        for (int t = 0; t < TERMS; ++t) c[t] = in[candidate * IN_STRIDE + PARAMETERS + t];
+        if (i == candidate * slices) begin_row(c, out + candidate * OUT_STRIDE);
+        Sums sums;
+        clear_sums(&sums);
+        sum_evaluated(columns, y, w, samples, (i - candidate * slices) * LANES, slices * LANES,
+                      in + candidate * IN_STRIDE, c, logarithmic, &sums);
+        store_slice(&sums, 1, slice_sums + (size_t)i * SUMS);
+    }
+}
+
+/* Adds slices up, a work-item a sum. */
+kernel void add_slices(int gradient, int candidates, int slices, global const scalar *slice_sums, global scalar *out) {
+    const int count = gradient ? SUMS : 1;
+    for (int i = (int)get_global_id(0); i < candidates * count; i += (int)get_global_size(0)) {
+        const int candidate = i / count;
+        const int k = i - candidate * count;
+        scalar sum = 0.0;
+        for (int s = 0; s < slices; ++s) sum += slice_sums[((size_t)candidate * slices + s) * SUMS + k];
+        global scalar *row = out + candidate * OUT_STRIDE;
+        if (k == 0)
+            row[0] = sum;
+        else if (k <= TERMS)
+            row[TERMS + k] = (scalar)2.0 * sum;
+        else if (k <= UNKNOWNS)
+            row[1 + 2 * TERMS + nonlinear_parameter[k - 1 - TERMS]] = (scalar)2.0 * sum;
+        else
+            row[1 + 2 * TERMS + PARAMETERS + (k - 1 - UNKNOWNS)] = sum;
+    }
+}
+
+#endif
 
 /* Every term and its slopes for every sample: out candidates x TERM_VALUES x samples. A work-item takes LANES samples of
  * a candidate at a time. */

@@ -13,6 +13,7 @@
 #include <boost/asio/thread_pool.hpp>
 
 #include "kernels/evaluator.h"
+#include "optim/broker.h"
 #include "optim/optimum.h"
 #include "optim/statistics.h"
 
@@ -405,6 +406,13 @@ Fit fit_model(const Work& work) {
     return std::move(*fit);
 }
 
+/// Searches at once: enough that the device always has launches, no more than that, for each takes memory and all of
+/// them are as late as the last.
+Broker::Limits broker_limits(const kernels::DeviceInfo& device) {
+    constexpr std::size_t kTasksOfUnit = 8;
+    return {std::clamp<std::size_t>(kTasksOfUnit * device.compute_units, 16, 256)};
+}
+
 /// A fit, or why there is none.
 struct Outcome {
     std::optional<Fit> fit;
@@ -497,15 +505,28 @@ std::size_t samples_needed(const ModelRequest& request, const Channel& channel) 
     return free_parameters(parameter_bounds(family.variant(lobes), request, channel));
 }
 
-struct Fitter::Pool {
-    explicit Pool(unsigned threads) : pool(threads) {}
-    boost::asio::thread_pool pool;
+/// One of the two.
+struct Fitter::Workers {
+    Workers(const kernels::Engine& engine, unsigned threads) {
+        if (engine.overlaps()) broker.emplace(broker_limits(engine.device()));
+        else pool.emplace(std::max(threads, 1U));
+    }
+
+    void post(std::packaged_task<Outcome()> task, std::size_t samples) {
+        if (broker) broker->post(std::packaged_task<void()>(std::move(task)), samples);
+        else boost::asio::post(*pool, std::move(task));
+    }
+
+    std::optional<boost::asio::thread_pool> pool;
+    std::optional<Broker> broker;
 };
 
 Fitter::Fitter(kernels::Engine& engine, unsigned threads)
-    : engine_(engine), pool_(std::make_unique<Pool>(std::max(threads, 1U))) {}
+    : engine_(engine), workers_(std::make_unique<Workers>(engine, threads)) {}
 
-Fitter::~Fitter() { pool_->pool.join(); }
+Fitter::~Fitter() {
+    if (workers_->pool) workers_->pool->join();
+}
 
 void Fitter::warm_up(const kernels::Family& family) {
     const std::vector<kernels::Direction> directions(1);
@@ -561,7 +582,7 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
     for (const bool longest : {true, false})
         for (std::size_t i = 0; i < tasks.size(); ++i)
             if (models[i % models.size()].family->variants.front().sums_series() == longest)
-                boost::asio::post(pool_->pool, std::move(tasks[i]));
+                workers_->post(std::move(tasks[i]), dataset.channels[i / models.size()].samples.size());
     for (auto& future : futures) future.wait();  // tasks refer to this call's arguments
     auto future = futures.begin();
     for (const Channel& channel : dataset.channels) {

@@ -65,10 +65,11 @@ std::vector<Interval> parameter_bounds(const kernels::Model& model, const ModelR
 /// Samples a fit of the request's smallest variant needs: its free parameters.
 std::size_t samples_needed(const ModelRequest& request, const Channel& channel);
 
-/// Fits on an engine with a pool of threads: one search each, over channels and models. Safe to use from several
-/// threads; their fits share the pool.
+/// Fits on an engine, over channels and models: on a device that runs launches in the calling thread with a pool of
+/// threads, one search each; on others with a Broker. Safe to use from several threads; their fits share the workers.
 class Fitter {
 public:
+    /// threads: of the pool, at least one.
     Fitter(kernels::Engine& engine, unsigned threads);
     ~Fitter();
     Fitter(const Fitter&) = delete;
@@ -86,9 +87,9 @@ public:
     [[nodiscard]] kernels::Engine& engine() const { return engine_; }
 
 private:
-    struct Pool;
+    struct Workers;
     kernels::Engine& engine_;
-    std::unique_ptr<Pool> pool_;
+    std::unique_ptr<Workers> workers_;
 };
 
 }  // namespace brdfit::optim

@@ -33,6 +33,16 @@ inline kernels::Engine& scalar_engine() {
     return instance;
 }
 
+/// The same device with kernels for devices that have more work-items than a batch has candidates.
+inline kernels::Engine& sliced_engine() {
+    static kernels::Engine instance([] {
+        kernels::EngineOptions options;
+        options.sliced = true;
+        return options;
+    }());
+    return instance;
+}
+
 inline const kernels::Catalogue& catalogue() {
     static const kernels::Catalogue instance;
     return instance;

@@ -300,6 +300,86 @@ TEST_P(EveryEvaluator, LossIsTheSumOverTheTerms) {
     }
 }
 
+/// As far apart as two orders of the same sums may be.
+void expect_near(const Batch& whole, const Batch& sliced, double relative, const std::string& what) {
+    const auto near = [&](const std::vector<double>& a, const std::vector<double>& b, const char* of) {
+        ASSERT_EQ(a.size(), b.size()) << what << of;
+        const std::size_t stride = a.size() / whole.loss.size();
+        for (std::size_t k = 0; k < a.size(); ++k) {
+            double size = whole.loss[k / stride];  // of sums whose parts cancel
+            for (std::size_t m = 0; m < stride; ++m) size = std::max(size, std::abs(a[k / stride * stride + m]));
+            EXPECT_NEAR(a[k], b[k], relative * size) << what << of << " " << k;
+        }
+    };
+    near(whole.loss, sliced.loss, " loss");
+    near(whole.coefficients, sliced.coefficients, " coefficients");
+    near(whole.by_coefficient, sliced.by_coefficient, " by coefficient");
+    near(whole.by_parameter, sliced.by_parameter, " by parameter");
+    near(whole.normal, sliced.normal, " normal");
+}
+
+TEST_P(EveryEvaluator, SlicesAddUpToTheWhole) {
+    const Model& model = *GetParam();
+    const Precision precision = engine().best_precision();
+    const double relative = precision == Precision::double_precision ? 1e-9 : 1e-3;
+    for (const std::size_t samples : {1U, 15U, 17U, 300U}) {
+        const Inputs in(model, samples, 9, 7);
+        Evaluator whole(engine(), model, precision, in.directions, in.y, in.w);
+        Evaluator sliced(sliced_engine(), model, precision, in.directions, in.y, in.w);
+        const std::string what = std::to_string(samples) + " samples";
+        Batch a, b, again;
+        if (samples > 2 * (model.parameters.size() + model.terms.size())) {  // else coefficients are not determined
+            whole.project(in.parameters, in.lower, in.upper, true, a);
+            sliced.project(in.parameters, in.lower, in.upper, true, b);
+            expect_near(a, b, relative, what + ", projected,");
+            sliced.project(in.parameters, in.lower, in.upper, true, again);
+            EXPECT_EQ(b.loss, again.loss);
+            EXPECT_EQ(b.normal, again.normal);
+            whole.project(in.parameters, in.lower, in.upper, false, a);
+            sliced.project(in.parameters, in.lower, in.upper, false, b);
+            expect_near(a, b, relative, what + ", values,");
+        }
+        for (const bool logarithmic : {false, true}) {
+            whole.loss(in.parameters, in.upper, logarithmic, a);
+            sliced.loss(in.parameters, in.upper, logarithmic, b);
+            expect_near(a, b, relative, what + ", loss,");
+        }
+        EXPECT_EQ(whole.terms(in.parameters), sliced.terms(in.parameters));
+    }
+}
+
+TEST_P(EveryEvaluator, ASlicedBatchIsBitForBitItsCandidates) {
+    const Model& model = *GetParam();
+    const std::size_t p = model.parameters.size(), t = model.terms.size();
+    const Inputs in(model, 37, 20, 3);
+    Evaluator evaluator(sliced_engine(), model, engine().best_precision(), in.directions, in.y, in.w);
+    Batch batch, values, losses, single;
+    evaluator.project(in.parameters, in.lower, in.upper, true, batch);
+    evaluator.project(in.parameters, in.lower, in.upper, false, values);
+    evaluator.loss(in.parameters, in.upper, true, losses);
+    for (std::size_t i = 0; i < 20; ++i) {
+        const auto one = [&](const std::vector<double>& all, std::size_t stride) {
+            return std::span(all).subspan(i * stride, stride);
+        };
+        evaluator.project(one(in.parameters, p), one(in.lower, t), one(in.upper, t), true, single);
+        expect_same(batch, i, single);
+        EXPECT_EQ(values.loss[i], single.loss[0]);
+        evaluator.loss(one(in.parameters, p), one(in.upper, t), true, single);
+        expect_same(losses, i, single);
+    }
+}
+
+TEST(Sliced, ALargeBatchGoesInSeveralLaunches) {
+    const Model& model = variant("lafortune_3");
+    const Inputs in(model, 6000, 40, 8);  // 64 MB hold the terms of fewer candidates
+    Evaluator whole(engine(), model, engine().best_precision(), in.directions, in.y, in.w);
+    Evaluator sliced(sliced_engine(), model, engine().best_precision(), in.directions, in.y, in.w);
+    Batch a, b;
+    whole.project(in.parameters, in.lower, in.upper, true, a);
+    sliced.project(in.parameters, in.lower, in.upper, true, b);
+    expect_near(a, b, engine().best_precision() == Precision::double_precision ? 1e-9 : 1e-3, "6000 samples,");
+}
+
 TEST_P(EveryEvaluator, SingleIsCloseToDouble) {
     if (!engine().supports(Precision::double_precision)) GTEST_SKIP() << "the device lacks double precision";
     const Model& model = *GetParam();
