@@ -509,7 +509,7 @@ std::size_t samples_needed(const ModelRequest& request, const Channel& channel) 
 struct Fitter::Workers {
     Workers(const kernels::Engine& engine, unsigned threads) {
         if (engine.overlaps()) broker.emplace(broker_limits(engine.device()));
-        else pool.emplace(std::max(threads, 1U));
+        else pool = std::make_unique<boost::asio::thread_pool>(std::max(threads, 1U));
     }
 
     void post(std::packaged_task<Outcome()> task, std::size_t samples) {
@@ -517,7 +517,7 @@ struct Fitter::Workers {
         else boost::asio::post(*pool, std::move(task));
     }
 
-    std::optional<boost::asio::thread_pool> pool;
+    std::unique_ptr<boost::asio::thread_pool> pool;
     std::optional<Broker> broker;
 };
 
