@@ -549,10 +549,10 @@ INLINED void sum_kept(int gradient, global const scalar *y, global const scalar 
         if (gradient)
             add_sample(term, c, load_lanes(y + first), load_lanes(w + first), 0, sums);
         else {
-            real residual = -load_lanes(y + first);
+            real f = 0.0;
             UNROLLED
-            for (int t = 0; t < TERMS; ++t) residual += c[t] * term[term_value[t]];
-            sums->loss += load_lanes(w + first) * sqr(residual);
+            for (int t = 0; t < TERMS; ++t) f += c[t] * term[term_value[t]];
+            sums->loss += load_lanes(w + first) * sqr(f - load_lanes(y + first));
         }
     }
 }

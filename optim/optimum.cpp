@@ -189,6 +189,31 @@ Optimum settled(const Task& task, const std::vector<Interval>& bounds, const Wei
     return better_of(found, std::move(optimum));
 }
 
+/// Goes on in the parameters themselves where the model has homogeneous terms: what is a step in their chart and what
+/// is one here differ, and so do the small minima that either is caught in.
+Optimum descended_in_parameters(const Task& task, const std::vector<Interval>& bounds, const Weighted& weighted,
+                                Unknowns unknowns, double level, double scale2, const Optimum& found) {
+    constexpr DescentGoal kGoal{1e-11, 1e-26, 60};
+    const bool homogeneous = std::any_of(task.model.terms.begin(), task.model.terms.end(),
+                                         [](const kernels::Term& term) { return term.homogeneous.has_value(); });
+    if (!homogeneous || task.control.over()) return found;
+    const SearchSpace space(task.model, bounds, unknowns, task.scale, level, Charts::none);
+    Evaluator evaluator(task.engine, task.model, task.precision.value_or(task.engine.best_precision()), task.directions,
+                        weighted.y, weighted.weight);
+    SpaceLoss loss(evaluator, space, scale2, weighted.logarithmic);
+    const Landscape landscape = [&](auto at) { return loss.looks(at); };
+    Minimum end =
+        descend_together(landscape, {space.coordinates(found.parameters, found.scale)}, kGoal, task.control).front();
+    Optimum kept = found;
+    if (end.loss2 < found.relative_loss2 * (1 - 1e-9)) {
+        loss.complete(end);
+        end.loss2 /= scale2;
+        kept = optimum_at(task, space, end, found.record);
+    }
+    kept.record.evaluations += loss.evaluations();
+    return kept;
+}
+
 /// The search in all parameters, for a loss that is not quadratic in the coefficients.
 Optimum search_in_all(const Task& task, const std::vector<Interval>& bounds, double level,
                       const std::vector<Start>& starts) {
@@ -243,6 +268,7 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
     found.best.loss2 /= scale2;
     Optimum optimum = optimum_at(task, space, found.best, found.record);
     if (!task.weighted.logarithmic) {
+        optimum = descended_in_parameters(task, bounds, quadratic, Unknowns::nonlinear, 1, scale2, optimum);
         if (!task.control.over()) optimum = settled(task, bounds, quadratic, Unknowns::nonlinear, 1, scale2, optimum);
         return optimum;
     }
@@ -260,6 +286,7 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
     const double level = 0.1 * levels.least;
     optimum = search_in_all(task, bounds, level, starts);
     optimum.record.evaluations += found.record.evaluations;
+    optimum = descended_in_parameters(task, bounds, task.weighted, Unknowns::all, level, 1, optimum);
     if (!task.control.over()) optimum = settled(task, bounds, task.weighted, Unknowns::all, level, 1, optimum);
     return optimum;
 }

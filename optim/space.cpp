@@ -385,7 +385,7 @@ SearchSpace::SearchSpace(const Model& model, std::vector<Interval> bounds, Unkno
     std::vector<std::optional<std::size_t>> their_lobes;
     for (std::size_t t = 0; t < model.terms.size(); ++t) {
         const auto& homogeneous = model.terms[t].homogeneous;
-        if (!homogeneous) continue;
+        if (!homogeneous || charts == Charts::none) continue;
         const auto [x, y] = homogeneous->plane;
         if (taken[x] || taken[y] || !DirectionAxis::covers(bounds_[x], bounds_[y])) continue;
         taken[x] = taken[y] = true;

@@ -46,7 +46,11 @@ enum class Unknowns {
 
 /// Whether a model's charts are coordinates. They lead a search well, but where their rays touch the bounds they bend
 /// without limit: the last steps are taken in the parameters themselves.
-enum class Charts { used, passed_over };
+enum class Charts {
+    used,
+    passed_over,  ///< of pairs of parameters; homogeneous terms keep theirs
+    none,         ///< the parameters themselves throughout
+};
 
 /// Maps u in [0, 1]^d to candidates. Parameters with a logarithmic scale are even in their logarithm; a complex index
 /// is seen in polar coordinates of (N-1)/(N+1); a homogeneous term's pair of parameters is seen as an angle and a

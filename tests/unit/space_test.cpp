@@ -18,6 +18,7 @@ using kernels::Batch;
 using kernels::Evaluator;
 using kernels::Model;
 using optim::Candidate;
+using optim::Charts;
 using optim::Interval;
 using optim::ScaleRange;
 using optim::SearchSpace;
@@ -43,9 +44,12 @@ std::vector<double> random_point(Random& random, std::size_t dimension) {
     return u;
 }
 
+const std::vector<kernels::Direction> kDirections = scan_directions({15, 45, 70}, 8);
+const kernels::DirectionSet kSeen(kDirections);
+
 /// Data that no model fits exactly: bounds of coefficients become active here and there.
 struct Problem {
-    std::vector<kernels::Direction> directions = scan_directions({15, 45, 70}, 8);
+    std::vector<kernels::Direction> directions = kDirections;
     std::vector<double> y, weight;
 
     explicit Problem(bool logarithmic) {
@@ -151,8 +155,11 @@ void expect_agreement(const Agreement& agreement, const SearchSpace& space) {
 }
 
 TEST_P(EverySpace, SlopesOfTheProjectedLossAreThoseOfItsValues) {
-    const SearchSpace space(*GetParam(), default_bounds(*GetParam()));
-    expect_agreement(compare(space, Unknowns::nonlinear, false, 60), space);
+    for (const kernels::DirectionSet* seen : {static_cast<const kernels::DirectionSet*>(nullptr), &kSeen}) {
+        const SearchSpace space(*GetParam(), default_bounds(*GetParam()), Unknowns::nonlinear, {}, 1, Charts::used,
+                                seen);
+        expect_agreement(compare(space, Unknowns::nonlinear, false, 60), space);
+    }
 }
 
 TEST_P(EverySpace, SlopesHoldWhereBoundsOfCoefficientsAreActive) {
@@ -165,8 +172,10 @@ TEST_P(EverySpace, SlopesHoldWhereBoundsOfCoefficientsAreActive) {
             if (term.homogeneous && (i == term.homogeneous->plane.first || i == term.homogeneous->plane.second))
                 bounds[i] = {-0.9, 0.95};
     }
-    const SearchSpace space(model, bounds);
-    expect_agreement(compare(space, Unknowns::nonlinear, false, 60), space);
+    for (const kernels::DirectionSet* seen : {static_cast<const kernels::DirectionSet*>(nullptr), &kSeen}) {
+        const SearchSpace space(model, bounds, Unknowns::nonlinear, {}, 1, Charts::used, seen);
+        expect_agreement(compare(space, Unknowns::nonlinear, false, 60), space);
+    }
 }
 
 TEST_P(EverySpace, SlopesHoldWithAScale) {
@@ -177,7 +186,7 @@ TEST_P(EverySpace, SlopesHoldWithAScale) {
 TEST_P(EverySpace, SlopesHoldForAllUnknownsAndALogarithmicLoss) {
     std::vector<Interval> bounds = default_bounds(*GetParam());
     for (const ScaleRange scale : {ScaleRange{}, ScaleRange{0.1, 10}}) {
-        const SearchSpace space(*GetParam(), bounds, Unknowns::all, scale);
+        const SearchSpace space(*GetParam(), bounds, Unknowns::all, scale, 1, Charts::used, &kSeen);
         expect_agreement(compare(space, Unknowns::all, true, 60), space);
     }
 }
