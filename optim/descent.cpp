@@ -14,7 +14,6 @@ using Eigen::VectorXd;
 
 /// Farthest step in a coordinate of the cube.
 constexpr double kTrust = 0.25;
-constexpr double kFirstDamping = 1e-2;
 /// No step beyond this damping: the slope is lost in round-off.
 constexpr double kMostDamping = 1e12;
 
@@ -27,7 +26,7 @@ bool finite(const Look& look) {
 
 class Descent {
 public:
-    explicit Descent(std::vector<double> start) : next_(std::move(start)) {}
+    Descent(std::vector<double> start, double damping) : next_(std::move(start)), damping_(damping) {}
 
     [[nodiscard]] bool over() const { return over_; }
     [[nodiscard]] const std::vector<double>& next() const { return next_; }
@@ -111,7 +110,7 @@ private:
     VectorXd gradient_;
     MatrixXd curvature_;
     double promised_ = 0;
-    double damping_ = kFirstDamping;
+    double damping_ = 0;
     double growth_ = 2;
     int looks_ = 0;
     bool over_ = false;
@@ -128,7 +127,8 @@ double distance(const std::vector<double>& a, const std::vector<double>& b) {
 std::vector<Minimum> descend_together(const Landscape& landscape, const std::vector<std::vector<double>>& starts,
                                       const DescentGoal& goal, const SearchControl& control) {
     constexpr double kSamePath = 2e-3;
-    std::vector<Descent> descents(starts.begin(), starts.end());
+    std::vector<Descent> descents;
+    for (const std::vector<double>& start : starts) descents.emplace_back(start, goal.damping);
     std::vector<Descent*> running;
     for (Descent& descent : descents) running.push_back(&descent);
     std::vector<std::vector<double>> points;

@@ -17,7 +17,8 @@ using Landscape = std::function<std::vector<Look>(std::span<const std::vector<do
 struct DescentGoal {
     double relative = 1e-5;  ///< the decrease that the model still promises, of the value
     double absolute = 1e-24;
-    int looks = 60;  ///< most evaluations of a descent
+    int looks = 60;         ///< most evaluations of a descent
+    double damping = 1e-2;  ///< Marquardt's, of the first step
 };
 
 /// Descends from every start, one launch for the next step of all; returns the ends in the order of the starts. A

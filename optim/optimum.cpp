@@ -189,29 +189,41 @@ Optimum settled(const Task& task, const std::vector<Interval>& bounds, const Wei
     return better_of(found, std::move(optimum));
 }
 
-/// Goes on in the parameters themselves where the model has homogeneous terms: what is a step in their chart and what
-/// is one here differ, and so do the small minima that either is caught in.
-Optimum descended_in_parameters(const Task& task, const std::vector<Interval>& bounds, const Weighted& weighted,
-                                Unknowns unknowns, double level, double scale2, const Optimum& found) {
-    constexpr DescentGoal kGoal{1e-11, 1e-26, 60};
-    const bool homogeneous = std::any_of(task.model.terms.begin(), task.model.terms.end(),
-                                         [](const kernels::Term& term) { return term.homogeneous.has_value(); });
-    if (!homogeneous || task.control.over()) return found;
-    const SearchSpace space(task.model, bounds, unknowns, task.scale, level, Charts::none);
-    Evaluator evaluator(task.engine, task.model, task.precision.value_or(task.engine.best_precision()), task.directions,
-                        weighted.y, weighted.weight);
-    SpaceLoss loss(evaluator, space, scale2, weighted.logarithmic);
-    const Landscape landscape = [&](auto at) { return loss.looks(at); };
-    Minimum end =
-        descend_together(landscape, {space.coordinates(found.parameters, found.scale)}, kGoal, task.control).front();
-    Optimum kept = found;
-    if (end.loss2 < found.relative_loss2 * (1 - 1e-9)) {
-        loss.complete(end);
-        end.loss2 /= scale2;
-        kept = optimum_at(task, space, end, found.record);
+/// The last steps of a search, until it is settled. A lobe's edge at a sample is a kink of the loss, and there may be
+/// one behind the other: descents in the parameters themselves, with first steps of several lengths, leap over other
+/// ones than those in the lobe's chart.
+Optimum finished(const Task& task, const std::vector<Interval>& bounds, const Weighted& weighted, Unknowns unknowns,
+                 double level, double scale2, const Optimum& found) {
+    constexpr int kRounds = 6;
+    if (task.control.over()) return found;
+    Optimum optimum = found;
+    if (std::any_of(task.model.terms.begin(), task.model.terms.end(),
+                    [](const kernels::Term& term) { return term.homogeneous.has_value(); })) {
+        const SearchSpace space(task.model, bounds, unknowns, task.scale, level, Charts::none);
+        Evaluator evaluator(task.engine, task.model, task.precision.value_or(task.engine.best_precision()),
+                            task.directions, weighted.y, weighted.weight);
+        SpaceLoss loss(evaluator, space, scale2, weighted.logarithmic);
+        const Landscape landscape = [&](auto at) { return loss.looks(at); };
+        Minimum best{
+            space.coordinates(found.parameters, found.scale), {}, found.relative_loss2, found.record.stop_reason};
+        bool gains = true;
+        for (int round = 0; round < kRounds && gains; ++round) {
+            gains = false;
+            for (const double damping : {1e-2, 1e-4, 1.0}) {
+                Minimum end = descend_together(landscape, {best.u}, {1e-11, 1e-26, 60, damping}, task.control).front();
+                if (!(end.loss2 < best.loss2 * (1 - 1e-9))) continue;
+                best = std::move(end);
+                gains = true;
+            }
+        }
+        if (best.loss2 < found.relative_loss2) {
+            loss.complete(best);
+            best.loss2 /= scale2;
+            optimum = optimum_at(task, space, best, found.record);
+        }
+        optimum.record.evaluations += loss.evaluations();
     }
-    kept.record.evaluations += loss.evaluations();
-    return kept;
+    return task.control.over() ? optimum : settled(task, bounds, weighted, unknowns, level, scale2, optimum);
 }
 
 /// The search in all parameters, for a loss that is not quadratic in the coefficients.
@@ -267,11 +279,8 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
         search_space(stages, budget(task.effort, space.dimension(), task.model.repeats), task.control, seeds);
     found.best.loss2 /= scale2;
     Optimum optimum = optimum_at(task, space, found.best, found.record);
-    if (!task.weighted.logarithmic) {
-        optimum = descended_in_parameters(task, bounds, quadratic, Unknowns::nonlinear, 1, scale2, optimum);
-        if (!task.control.over()) optimum = settled(task, bounds, quadratic, Unknowns::nonlinear, 1, scale2, optimum);
-        return optimum;
-    }
+    if (!task.weighted.logarithmic)
+        return finished(task, bounds, quadratic, Unknowns::nonlinear, 1, scale2, std::move(optimum));
 
     std::vector<Start> starts;
     if (smaller != nullptr) starts.push_back(extended(task.model, *smaller));
@@ -286,9 +295,7 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
     const double level = 0.1 * levels.least;
     optimum = search_in_all(task, bounds, level, starts);
     optimum.record.evaluations += found.record.evaluations;
-    optimum = descended_in_parameters(task, bounds, task.weighted, Unknowns::all, level, 1, optimum);
-    if (!task.control.over()) optimum = settled(task, bounds, task.weighted, Unknowns::all, level, 1, optimum);
-    return optimum;
+    return finished(task, bounds, task.weighted, Unknowns::all, level, 1, std::move(optimum));
 }
 
 }  // namespace brdfit::optim

@@ -2,7 +2,6 @@
 
 #include <algorithm>
 #include <cmath>
-#include <random>
 
 #include <Eigen/Dense>  // eigenvalues of the small symmetric matrix of curvatures
 
@@ -18,10 +17,6 @@ constexpr double kTrust = 0.1;
 /// Newton steps, each with a new look at the curvature.
 constexpr int kRounds = 40;
 constexpr int kDescentEvaluations = 400;
-/// Where nothing else leads lower: starts at each distance aside, evaluations of each, and how often while that gains.
-constexpr int kAside = 8;
-constexpr int kAsideEvaluations = 150;
-constexpr int kAsideRounds = 4;
 
 std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
@@ -143,19 +138,6 @@ std::vector<double> moved(std::span<const double> u, std::span<const double> ste
     return point;
 }
 
-/// Points about u, at distances of 1e-1 to 1e-5.
-std::vector<std::vector<double>> aside(const std::vector<double>& u, std::uint64_t seed) {
-    std::mt19937_64 random(seed);
-    std::uniform_real_distribution<double> uniform(-1.0, 1.0);
-    std::vector<std::vector<double>> points;
-    for (const double far : {1e-1, 1e-2, 1e-3, 1e-4, 1e-5})
-        for (int i = 0; i < kAside; ++i) {
-            points.push_back(u);
-            for (double& x : points.back()) x = std::clamp(x + far * uniform(random), 0.0, 1.0);
-        }
-    return points;
-}
-
 }  // namespace
 
 Resolution resolution(kernels::Precision precision) {
@@ -209,7 +191,6 @@ Minimum settle(const Objective& objective, Minimum end, const Resolution& resolu
         end.stop = reason;
         return end;
     };
-    int kicks = 0;
     for (int round = 0; round < kRounds; ++round) {
         if (control.stop.stop_requested()) return stopped(StopReason::cancelled);
         if (control.over()) return stopped(StopReason::time_limit);
@@ -237,17 +218,6 @@ Minimum settle(const Objective& objective, Minimum end, const Resolution& resolu
         // Steps one by one are slow in a bent valley.
         if (stuck || round % 4 == 3) {
             Minimum next = descend(objective, end.u, kDescentEvaluations, 1e-13, control);
-            if (next.loss2 < end.loss2) {
-                end.u = std::move(next.u);
-                end.loss2 = next.loss2;
-            }
-        }
-        if (look.value - end.loss2 > negligible / 4) continue;
-        // At a kink, or between the many of a lobe's edge, a start a little aside may still find a way.
-        if (kicks++ == kAsideRounds) return stopped(StopReason::roundoff);
-        for (std::vector<double>& start : aside(end.u, control.seed + static_cast<std::uint64_t>(kicks))) {
-            if (control.over()) break;
-            Minimum next = descend(objective, std::move(start), kAsideEvaluations, 1e-11, control);
             if (next.loss2 < end.loss2) {
                 end.u = std::move(next.u);
                 end.loss2 = next.loss2;
