@@ -6,7 +6,7 @@ unset POCL_CACHE_DIR
 kept=$XDG_CACHE_HOME/brdfit
 mkdir "$TMPDIR"
 file=$samples/white_plastic.csv
-programs=14 # seven variants of models in two precisions; half of them where the device has only one
+programs=15 # seven variants of models in two precisions, half of them where the device has only one; and one for searches
 
 # stop: ends the last server; sets status.
 stop() {
@@ -41,7 +41,7 @@ wait "${waiting[@]}"
 get /health/ready
 answered "ready" 200
 [[ $(jq '.selftest.precisions | length' "$work/body") == 2 ]] || programs=7
-if ((programs == 14)); then
+if ((programs == 15)); then
     check_equal "fits as soon as it listens, in either precision" "$(sort "$work/early" | uniq -c | xargs)" "6 200"
     check_equal "... in the precision asked for" "$(jq -r .device.precision "$work/early.1")" single
 fi

@@ -1,0 +1,172 @@
+// Descents in step: where they end, what they make of bounds and of bad values, and the looks they go by.
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <numeric>
+
+#include <Eigen/Core>
+#include <Eigen/Eigenvalues>
+
+#include "optim/descent.h"
+#include "optim/loss.h"
+#include "optim/space.h"
+#include "tests/support.h"
+
+namespace brdfit::tests {
+namespace {
+
+using optim::DescentGoal;
+using optim::Landscape;
+using optim::Look;
+using optim::Minimum;
+using optim::SearchSpace;
+using optim::SpaceLoss;
+using optim::StopReason;
+
+/// Rosenbrock's valley as a sum of squares, its minimum 0 at (x, y).
+Landscape valley(double x, double y) {
+    return [=](std::span<const std::vector<double>> points) {
+        std::vector<Look> looks;
+        for (const std::vector<double>& u : points) {
+            const double a = 10 * ((u[1] - y) - 4 * (u[0] - x) * (u[0] - x));
+            const double b = u[0] - x;
+            const double a_by_0 = -80 * (u[0] - x);
+            looks.push_back({a * a + b * b,
+                             {2 * (a * a_by_0 + b), 2 * a * 10},
+                             {2 * (a_by_0 * a_by_0 + 1), 2 * a_by_0 * 10, 2 * a_by_0 * 10, 200}});
+        }
+        return looks;
+    };
+}
+
+TEST(Descents, EndAtTheMinimumOfAValley) {
+    const std::vector<std::vector<double>> starts{{0.9, 0.9}, {0.1, 0.9}, {0.9, 0.1}};
+    for (const Minimum& end : descend_together(valley(0.4, 0.3), starts, {1e-9, 1e-20, 200}, {})) {
+        EXPECT_NEAR(end.u[0], 0.4, 2e-3);
+        EXPECT_NEAR(end.u[1], 0.3, 2e-3);
+        EXPECT_EQ(end.stop, StopReason::converged);
+    }
+}
+
+TEST(Descents, EndOnABoundWhereTheMinimumLiesBeyond) {
+    const Minimum end = descend_together(valley(0.4, -0.5), {{0.9, 0.9}}, {1e-9, 1e-20, 200}, {}).front();
+    EXPECT_NEAR(end.u[0], 0.4 + std::sqrt(0.5) / 2, 1e-3);  // where the valley's floor leaves the cube
+    EXPECT_EQ(end.u[1], 0);
+    EXPECT_EQ(end.stop, StopReason::converged);
+}
+
+TEST(Descents, EndOnThePathOfABetterOne) {
+    std::size_t looked = 0;
+    const Landscape counting = [&, inner = valley(0.4, 0.3)](std::span<const std::vector<double>> points) {
+        looked += points.size();
+        return inner(points);
+    };
+    (void)descend_together(counting, {{0.9, 0.9}}, {1e-9, 1e-20, 200}, {});
+    const std::size_t one = looked;
+    looked = 0;
+    (void)descend_together(counting, {{0.9, 0.9}, {0.9, 0.9}}, {1e-9, 1e-20, 200}, {});
+    EXPECT_EQ(looked, one + 1);
+}
+
+TEST(Descents, TurnBackFromWhatIsNotFinite) {
+    const Landscape cliff = [inner = valley(0.4, 0.3)](std::span<const std::vector<double>> points) {
+        std::vector<Look> looks = inner(points);
+        for (std::size_t i = 0; i < points.size(); ++i)
+            if (points[i][0] < 0.6) looks[i].value = std::numeric_limits<double>::quiet_NaN();
+        return looks;
+    };
+    const Minimum end = descend_together(cliff, {{0.9, 0.9}}, {1e-9, 1e-20, 200}, {}).front();
+    EXPECT_GE(end.u[0], 0.6);
+    EXPECT_TRUE(std::isfinite(end.loss2));
+    EXPECT_NE(end.stop, StopReason::converged);
+}
+
+TEST(Descents, SayWhyTheyStop) {
+    EXPECT_EQ(descend_together(valley(0.4, 0.3), {{0.9, 0.9}}, {1e-9, 1e-20, 2}, {}).front().stop,
+              StopReason::evaluation_limit);
+    optim::SearchControl late;
+    late.deadline = std::chrono::steady_clock::now();
+    EXPECT_EQ(descend_together(valley(0.4, 0.3), {{0.9, 0.9}}, {1e-9, 1e-20, 200}, late).front().stop,
+              StopReason::time_limit);
+    std::stop_source source;
+    source.request_stop();
+    optim::SearchControl stopped;
+    stopped.stop = source.get_token();
+    EXPECT_EQ(descend_together(valley(0.4, 0.3), {{0.9, 0.9}}, {1e-9, 1e-20, 200}, stopped).front().stop,
+              StopReason::cancelled);
+}
+
+class EveryLook : public testing::TestWithParam<const kernels::Model*> {};
+INSTANTIATE_TEST_SUITE_P(Models, EveryLook, testing::ValuesIn(variants()),
+                         [](const auto& parameter) { return label(*parameter.param); });
+
+/// Without residuals Gauss and Newton's matrix is the curvature itself.
+TEST_P(EveryLook, HasTheCurvatureOfAnExactFit) {
+    const kernels::Model& model = *GetParam();
+    std::vector<optim::Interval> bounds;
+    for (const kernels::Parameter& p : model.parameters) bounds.push_back({p.min, p.max});
+    const kernels::DirectionSet directions(scan_directions({15, 45, 70}, 8));
+    const SearchSpace space(model, bounds, optim::Unknowns::nonlinear, {}, 1, optim::Charts::used, &directions);
+    const std::size_t d = space.dimension();
+    if (d == 0) return;
+    Random random(5);
+    std::size_t compared = 0;
+    for (int i = 0; i < 12; ++i) {
+        std::vector<double> u;
+        for (const optim::Interval& typical : space.typical())
+            u.push_back(random.uniform(0.6 * typical.min + 0.4 * typical.max, 0.4 * typical.min + 0.6 * typical.max));
+        double scale = 1;
+        const std::vector<double> truth = space.parameters(u, std::vector<double>(model.terms.size(), 0.4), scale);
+        const std::vector<kernels::Direction> list(directions.directions().begin(), directions.directions().end());
+        const std::vector<double> y = model_values(model, truth, list);
+        const double norm2 = std::inner_product(y.begin(), y.end(), y.begin(), 0.0);
+        if (!(norm2 > 1e-12) || norm2 > 1e12) continue;
+        const std::vector<double> w(y.size(), 1.0);
+        kernels::Evaluator evaluator(engine(), model, engine().best_precision(), directions, y, w);
+        SpaceLoss loss(evaluator, space, norm2);
+        const Look look = loss.looks({&u, 1}).front();
+        std::vector<double> gradient(d);
+        EXPECT_EQ(loss(u, gradient), look.value);
+        EXPECT_EQ(gradient, look.gradient);
+        const Eigen::Map<const Eigen::MatrixXd> curvature(look.curvature.data(), static_cast<Eigen::Index>(d),
+                                                          static_cast<Eigen::Index>(d));
+        const double largest = curvature.cwiseAbs().maxCoeff();
+        EXPECT_GE(Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd>(curvature).eigenvalues().minCoeff(), -1e-9 * largest);
+        for (std::size_t k = 0; k < d; ++k) {
+            constexpr double kStep = 1e-5;
+            std::vector<double> up = u, down = u, above(d), below(d);
+            up[k] += kStep;
+            down[k] -= kStep;
+            loss(up, above);
+            loss(down, below);
+            for (std::size_t j = 0; j < d; ++j)
+                EXPECT_NEAR(curvature(static_cast<Eigen::Index>(j), static_cast<Eigen::Index>(k)),
+                            (above[j] - below[j]) / (2 * kStep), 2e-3 * largest)
+                    << j << ", " << k;
+        }
+        ++compared;
+    }
+    EXPECT_GE(compared, 4U);
+}
+
+TEST_P(EveryLook, BlocksPartitionTheCoordinates) {
+    std::vector<optim::Interval> bounds;
+    for (const kernels::Parameter& p : GetParam()->parameters) bounds.push_back({p.min, p.max});
+    for (const optim::Unknowns unknowns : {optim::Unknowns::nonlinear, optim::Unknowns::all}) {
+        const SearchSpace space(*GetParam(), bounds, unknowns, {0.1, 10});
+        std::vector<std::size_t> all;
+        for (const auto& block : space.blocks()) {
+            EXPECT_FALSE(block.empty());
+            all.insert(all.end(), block.begin(), block.end());
+        }
+        std::sort(all.begin(), all.end());
+        std::vector<std::size_t> expected(space.dimension());
+        std::iota(expected.begin(), expected.end(), std::size_t{0});
+        EXPECT_EQ(all, expected);
+    }
+}
+
+}  // namespace
+}  // namespace brdfit::tests
