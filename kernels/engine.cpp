@@ -203,7 +203,7 @@ void Engine::build_ahead(std::span<const Family> families, std::span<const Preci
         for (const Model& model : family.variants)
             for (const Precision precision : precisions) {
                 sources.push_back(impl_->source(model, precision, Accuracy::full));
-                if (usable() && precision == best_precision())  // what its searches use
+                if (model.begins_quickly() && usable() && precision == best_precision())
                     sources.push_back(impl_->source(model, quickest_precision(),
                                                     model.sums_series() ? Accuracy::search : Accuracy::full));
             }

@@ -91,6 +91,8 @@ struct Model {
     [[nodiscard]] std::vector<std::size_t> nonlinear() const;
     /// Whether a term sums a series, whose accuracy a search may lower (Accuracy::search).
     [[nodiscard]] bool sums_series() const;
+    /// Whether searches begin in the quickest precision: with one unknown there is nothing to gain.
+    [[nodiscard]] bool begins_quickly() const { return nonlinear().size() > 1; }
     /// Number of values in the kernel's Terms: each term and its slopes.
     [[nodiscard]] std::size_t term_values() const;
     /// For each term the parameter values' product: c_t, given all parameters in `unit`.

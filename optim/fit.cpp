@@ -544,6 +544,7 @@ void Fitter::warm_up(const kernels::Family& family) {
     };
     for (const Model& model : family.variants) {
         run(model, engine_.best_precision(), kernels::Accuracy::full);
+        if (!model.begins_quickly()) continue;
         run(model, engine_.quickest_precision(),
             model.sums_series() ? kernels::Accuracy::search : kernels::Accuracy::full);
     }

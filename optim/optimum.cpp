@@ -259,7 +259,7 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
         stages.push_back(&losses.emplace_back(evaluators.back(), space, scale2));
     };
     const bool series = task.model.sums_series();
-    const bool coarse = !task.precision && (series || space.dimension() > 1);
+    const bool coarse = !task.precision && task.model.begins_quickly();
     const kernels::Precision quick = coarse ? task.engine.quickest_precision() : precision;
     const kernels::Accuracy accuracy = coarse && series ? kernels::Accuracy::search : kernels::Accuracy::full;
     if (quadratic.y.size() > kThinAbove) {

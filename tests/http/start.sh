@@ -40,7 +40,7 @@ fit_answer empty
 wait "${waiting[@]}"
 get /health/ready
 answered "ready" 200
-[[ $(jq '.selftest.precisions | length' "$work/body") == 2 ]] || programs=7
+[[ $(jq '.selftest.precisions | length' "$work/body") == 2 ]] || programs=8
 if ((programs == 15)); then
     check_equal "fits as soon as it listens, in either precision" "$(sort "$work/early" | uniq -c | xargs)" "6 200"
     check_equal "... in the precision asked for" "$(jq -r .device.precision "$work/early.1")" single
