@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <cmath>
 #include <cstdio>
 #include <limits>
 
@@ -77,13 +78,15 @@ TEST_P(Materials, AreFitAsWellAsByASearchFiftyTimesAsLong) {
     std::printf("%s: %zu materials; within 1e-6 %.4f, 1e-3 %.4f, 1e-2 %.4f, 1e-1 %.4f; worst %.2g\n",
                 cell.model.c_str(), excess.size(), within(1e-6), within(1e-3), within(1e-2), within(1e-1),
                 excess.back());
-    EXPECT_GE(within(1e-3), cell.least_rate);
+    // A rate over so few is known to two standard deviations.
+    const double rate = cell.least_rate;
+    EXPECT_GE(within(1e-3), rate - 2 * std::sqrt(rate * (1 - rate) / static_cast<double>(excess.size())));
 }
 
 INSTANTIATE_TEST_SUITE_P(Models, Materials,
                          testing::Values(Cell{"phong", 0.999, 48}, Cell{"ward", 0.999, 48},
-                                         Cell{"lafortune_1", 0.999, 48}, Cell{"lafortune_2", 0.95},
-                                         Cell{"lafortune_3", 0.8}, Cell{"he_torrance", 0.97}),
+                                         Cell{"lafortune_1", 0.999, 48}, Cell{"lafortune_2", 0.96},
+                                         Cell{"lafortune_3", 0.9}, Cell{"he_torrance", 0.99}),
                          [](const auto& parameter) { return parameter.param.model; });
 
 }  // namespace
