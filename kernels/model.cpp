@@ -168,6 +168,11 @@ struct Header {
     std::vector<NamedTerm> terms;
     std::vector<std::vector<std::string>> charts;
     std::vector<std::pair<std::string, std::map<std::string, double>>> special_cases;
+    struct NamedSubmodel {
+        std::string name, define;
+        std::map<std::string, double> fixed;
+    };
+    std::vector<NamedSubmodel> submodels;
 };
 
 bool are_different(const std::vector<std::string>& names, std::size_t count) {
@@ -234,6 +239,26 @@ Header::NamedTerm read_term(const json& object, const std::string& file) {
     return term;
 }
 
+/// The member "fixed" of a special case or a submodel: parameters and what they are held at.
+std::map<std::string, double> read_fixed(Reader& reader, const std::string& what, const std::string& file) {
+    std::map<std::string, double> fixed;
+    for (const auto& [name, value] : reader.object("fixed").items()) {
+        if (!value.is_number()) refuse(file, what + " fixes parameters to numbers");
+        fixed[name] = value.get<double>();
+    }
+    return fixed;
+}
+
+Header::NamedSubmodel read_submodel(const json& object, const std::string& file) {
+    Reader r(object, file, "a submodel");
+    Header::NamedSubmodel submodel{r.text("name"), "", read_fixed(r, "a submodel", file)};
+    if (r.optional("define") != nullptr) submodel.define = r.identifier("define");
+    r.finish();
+    if (submodel.fixed.empty() == submodel.define.empty())
+        refuse(file, "a submodel needs either \"fixed\" parameters or a \"define\"");
+    return submodel;
+}
+
 Header read_header(const json& object, const std::string& file) {
     Header header;
     Reader r(object, file, "the header");
@@ -257,14 +282,16 @@ Header read_header(const json& object, const std::string& file) {
     }
     for (const json& c : r.array("special_cases")) {
         Reader special(c, file, "a special case");
-        std::map<std::string, double> fixed;
-        for (const auto& [name, value] : special.object("fixed").items()) {
-            if (!value.is_number()) refuse(file, "a special case fixes parameters to numbers");
-            fixed[name] = value.get<double>();
-        }
+        const std::map<std::string, double> fixed = read_fixed(special, "a special case", file);
         if (fixed.empty()) refuse(file, "a special case fixes no parameter");
         header.special_cases.emplace_back(special.text("name"), fixed);
         special.finish();
+    }
+    for (const json& s : r.array("submodels")) {
+        header.submodels.push_back(read_submodel(s, file));
+        const auto same = [&](const auto& submodel) { return submodel.name == header.submodels.back().name; };
+        if (std::count_if(header.submodels.begin(), header.submodels.end(), same) > 1)
+            refuse(file, "submodel \"" + header.submodels.back().name + "\" stands twice");
     }
     for (const auto& [name, value] : r.object("traits").items()) {
         if (!value.is_boolean()) refuse(file, "\"traits\" are true or false");
@@ -308,14 +335,18 @@ std::size_t index_of(const Model& model, const std::string& name, std::string_vi
     return *index;
 }
 
+std::string upper(std::string text) {
+    std::transform(text.begin(), text.end(), text.begin(),
+                   [](char c) { return c >= 'a' && c <= 'z' ? static_cast<char>(c - 'a' + 'A') : c; });
+    return text;
+}
+
 /// The generated part of the kernel text: structs and tables that follow from the header.
 std::string generate_prelude(const Model& model, const Header& header) {
     std::ostringstream out;
     std::string macro;
     if (header.repeat) {
-        macro = header.repeat->option;
-        std::transform(macro.begin(), macro.end(), macro.begin(),
-                       [](char c) { return c >= 'a' && c <= 'z' ? static_cast<char>(c - 'a' + 'A') : c; });
+        macro = upper(header.repeat->option);
         out << "#define " << macro << ' ' << model.repeats << '\n';
     }
     out << "typedef struct {\n";
@@ -429,10 +460,37 @@ Model make_variant(const Header& header, std::size_t repeats, const std::string&
     return model;
 }
 
+std::vector<Model> make_variants(const Header& header, const std::string& file) {
+    if (!header.repeat) return {make_variant(header, 0, file)};
+    std::vector<Model> variants;
+    for (std::size_t repeats = header.repeat->min; repeats <= header.repeat->max; ++repeats)
+        variants.push_back(make_variant(header, repeats, file));
+    return variants;
+}
+
+Submodel make_submodel(const Header& header, const Header::NamedSubmodel& named, const std::vector<Model>& variants,
+                       const std::string& file) {
+    Submodel submodel{named.name, named.fixed, {}};
+    const Model& smallest = variants.front();
+    for (const auto& [name, value] : named.fixed) {
+        const Parameter& parameter = smallest.parameters[index_of(smallest, name, file)];
+        if (value < parameter.domain_min || value > parameter.domain_max)
+            refuse(file, "a submodel fixes " + name + " outside its domain");
+    }
+    if (named.define.empty()) return submodel;
+    submodel.variants = variants;
+    for (Model& model : submodel.variants) {
+        model.name = header.model.name + "_" + named.define;
+        model.prelude = "#define " + upper(named.define) + " 1\n" + model.prelude;
+    }
+    return submodel;
+}
+
 }  // namespace
 
-std::string variant_name(const std::string& model, std::size_t repeats) {
-    return repeats == 0 ? model : model + " (" + std::to_string(repeats) + ")";
+std::string variant_name(const std::string& model, std::size_t repeats, const std::string& submodel) {
+    return model + (repeats == 0 ? "" : " (" + std::to_string(repeats) + ")") +
+           (submodel.empty() ? "" : ", " + submodel);
 }
 
 std::optional<std::size_t> Model::find(std::string_view parameter) const {
@@ -466,8 +524,24 @@ std::vector<double> Model::coefficients(const std::vector<double>& values) const
     return c;
 }
 
-const Model& Family::variant(std::size_t repeats) const {
-    return repeat ? variants.at(repeats - repeat->min) : variants.at(0);
+const Model& Family::variant(std::size_t repeats, const Submodel* submodel) const {
+    const std::vector<Model>& models =
+        submodel != nullptr && !submodel->variants.empty() ? submodel->variants : variants;
+    return repeat ? models.at(repeats - repeat->min) : models.at(0);
+}
+
+const Submodel* Family::submodel(std::string_view wanted) const {
+    for (const Submodel& submodel : submodels)
+        if (submodel.name == wanted) return &submodel;
+    return nullptr;
+}
+
+std::vector<const Model*> Family::texts() const {
+    std::vector<const Model*> models;
+    for (const Model& model : variants) models.push_back(&model);
+    for (const Submodel& submodel : submodels)
+        for (const Model& model : submodel.variants) models.push_back(&model);
+    return models;
 }
 
 Family parse_family(std::string_view name, std::string_view file_view, std::string_view text) {
@@ -489,10 +563,9 @@ Family parse_family(std::string_view name, std::string_view file_view, std::stri
     Family family;
     family.name = std::string(name);
     family.repeat = header.repeat;
-    if (!header.repeat) family.variants.push_back(make_variant(header, 0, file));
-    else
-        for (std::size_t repeats = header.repeat->min; repeats <= header.repeat->max; ++repeats)
-            family.variants.push_back(make_variant(header, repeats, file));
+    family.variants = make_variants(header, file);
+    for (const Header::NamedSubmodel& submodel : header.submodels)
+        family.submodels.push_back(make_submodel(header, submodel, family.variants, file));
     return family;
 }
 

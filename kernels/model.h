@@ -99,8 +99,15 @@ struct Model {
     [[nodiscard]] std::vector<double> coefficients(const std::vector<double>& parameters) const;
 };
 
-/// "ward", or "lafortune (2)" with two lobes: for people.
-std::string variant_name(const std::string& model, std::size_t repeats);
+/// "ward", "lafortune (2)" with two lobes, "ward, no diffuse term" for a submodel: for people.
+std::string variant_name(const std::string& model, std::size_t repeats, const std::string& submodel = "");
+
+/// A simpler form of a model, for those whom it serves as well: parameters held, or a part of its text left out.
+struct Submodel {
+    std::string name;                     ///< for people and the wire, e.g. "no diffuse term"
+    std::map<std::string, double> fixed;  ///< parameters that are held
+    std::vector<Model> variants;          ///< of a text of its own, as Family::variants; else empty
+};
 
 /// A model file before the number of lobes is settled.
 struct Family {
@@ -115,8 +122,15 @@ struct Family {
     std::optional<Repeat> repeat{};
     std::vector<Model> variants;  ///< one, or one for each number of repeats from min to max
 
-    /// The variant with that many repeats (ignored without a repeated group). Throws std::out_of_range.
-    [[nodiscard]] const Model& variant(std::size_t repeats = 1) const;
+    std::vector<Submodel> submodels;
+
+    /// The variant with that many repeats (ignored without a repeated group), of a submodel where that has a text of
+    /// its own. Throws std::out_of_range.
+    [[nodiscard]] const Model& variant(std::size_t repeats = 1, const Submodel* submodel = nullptr) const;
+    /// nullptr if there is none.
+    [[nodiscard]] const Submodel* submodel(std::string_view name) const;
+    /// Every text: the variants, and those of submodels.
+    [[nodiscard]] std::vector<const Model*> texts() const;
 };
 
 /// A model file that cannot be used; what() names the file and the reason.

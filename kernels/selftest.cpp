@@ -180,7 +180,11 @@ SelfTest self_test(Engine& engine, std::span<const Family> families, Precision p
     if (const auto reason = engine.refusal(precision)) throw PrecisionError(*reason);
     SelfTest result{precision, form, {}};
     for (const Family& family : families)
-        for (const Model& model : family.variants) result.models.push_back(test_model(engine, model, precision, form));
+        for (const Model* model : family.texts()) {
+            const bool of_submodel = model->name != family.name;
+            if (of_submodel && form == SelfTestForm::brief) continue;  // they are built when a scene asks for them
+            result.models.push_back(test_model(engine, *model, precision, form));
+        }
     return result;
 }
 

@@ -53,11 +53,11 @@ inline std::string label(const kernels::Model& model) {
     return model.repeats == 0 ? model.name : model.name + "_" + std::to_string(model.repeats);
 }
 
-/// Every variant of every built-in model.
+/// Every variant of every built-in model, and of submodels with a text of their own.
 inline std::vector<const kernels::Model*> variants() {
     std::vector<const kernels::Model*> result;
     for (const kernels::Family& family : catalogue().families())
-        for (const kernels::Model& model : family.variants) result.push_back(&model);
+        for (const kernels::Model* model : family.texts()) result.push_back(model);
     return result;
 }
 

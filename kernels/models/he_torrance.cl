@@ -20,6 +20,11 @@
   ],
   "charts": [{"kind": "complex_index", "parameters": ["n", "k"]}],
   "special_cases": [{"name": "real index", "fixed": {"k": 0}}, {"name": "no lobe", "fixed": {"n": 1, "k": 0}}],
+  "submodels": [
+    {"name": "no diffuse term", "fixed": {"rho_ud": 0}},
+    {"name": "real index", "fixed": {"k": 0}},
+    {"name": "no effective roughness", "define": "roughness_as_given"}
+  ],
   "traits": {"reciprocal": true, "energy_conserving": false}
 }*/
 
@@ -279,11 +284,16 @@ void brdf(Params p, Geometry s, Terms *f) {
     const Shadow out = shadow(s.tr, slope);
 
     /* Effective roughness: sigma_e^2 = sigma^2/(1 + W), W e^W = (K_i + K_r)^2/(8 pi). */
+#if ROUGHNESS_AS_GIVEN
+    const real inverse_W = 1.0;
+    const real l = 0.0;
+#else
     const real K = in.K + out.K;
     const real c = fmax(K, (real)TINY) / sqrt((real)(8.0 * PI));
     const real W = lambert_w(sqr(c), LAMBERT_STEPS);
     const real inverse_W = 1.0 / (1.0 + W);
     const real l = -2.0 * W * sqr(inverse_W) * ((in.K_slope + out.K_slope) / fmax(K, (real)TINY)); /* d ln sigma_e^2/d ln h */
+#endif
 
     const Wide height2 = pi_times_squared(product_of(sigma, s.cs));
     const real g = fmax(4.0 * (height2.high + height2.low) * inverse_W, (real)TINY); /* keeps m/g finite */

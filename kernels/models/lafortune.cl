@@ -21,6 +21,7 @@
     {"name": "lobe", "of": ["c_xy", "c_z", "n"], "homogeneous": {"in": ["c_xy", "c_z"], "degree": "n", "pole": [-1, 1],
      "columns": ["hxy", "hz"]}}
   ],
+  "submodels": [{"name": "no diffuse term", "fixed": {"k_d": 0}}],
   "traits": {"reciprocal": true, "energy_conserving": false}
 }*/
 

@@ -12,6 +12,7 @@
     {"name": "diffuse", "factor": "k_d"},
     {"name": "lobe", "factor": "k_s", "of": ["n"]}
   ],
+  "submodels": [{"name": "no diffuse term", "fixed": {"k_d": 0}}],
   "traits": {"reciprocal": false, "energy_conserving": false}
 }*/
 

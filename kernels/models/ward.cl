@@ -12,6 +12,7 @@
     {"name": "diffuse", "factor": "rho_d"},
     {"name": "lobe", "factor": "rho_s", "of": ["alpha"]}
   ],
+  "submodels": [{"name": "no diffuse term", "fixed": {"rho_d": 0}}],
   "traits": {"reciprocal": true, "energy_conserving": false}
 }*/
 

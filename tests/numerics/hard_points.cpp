@@ -159,7 +159,7 @@ const std::vector<Listed>& listed(const std::string& label) {
          }},
     };
     static const std::vector<Listed> none;
-    const auto it = all.find(label);
+    const auto it = all.find(label.starts_with("he_torrance") ? "he_torrance" : label);
     return it == all.end() ? none : it->second;
 }
 

@@ -170,7 +170,7 @@ Point draw_point(Random& random, const Model& model, const Range& range, std::si
     if (model.name == "phong") point.parameters = draw_phong(random, d, exponent);
     else if (model.name == "ward") point.parameters = draw_ward(random, d, exponent);
     else if (model.name == "lafortune") point.parameters = draw_lafortune(random, d, range, model.repeats);
-    else if (model.name == "he_torrance")
+    else if (model.name.starts_with("he_torrance"))
         point.parameters = draw_he_torrance(random, d, index % 20 != 0, static_cast<double>(range.eps));
     else point.parameters = random.parameters(model);
     return point;
@@ -224,7 +224,7 @@ Golden golden(const Model& model, const Point& point) {
                 result.condition +=
                     std::abs(static_cast<long double>(point.parameters[j]) * result.gradient[j] / result.specular);
     result.slope_condition.assign(point.parameters.size(), result.condition + homogeneous_condition(model, point));
-    if (model.name == "he_torrance") {
+    if (model.name.starts_with("he_torrance")) {
         // Slopes by sigma and tau are differences of terms of this size.
         result.slope_condition[0] += 2 * jet.steepness.convert_to<long double>();
         result.slope_condition[1] += 2 * jet.steepness.convert_to<long double>();

@@ -19,7 +19,9 @@ namespace {
 template <typename T>
 using Vector = std::array<T, 3>;
 
-enum class Model { kLambert, kPhong, kWard, kLafortune, kHeTorrance };
+enum class Model { kLambert, kPhong, kWard, kLafortune, kHeTorrance, kHeTorranceRoughnessAsGiven };
+
+bool isHeTorrance(Model model) { return model == Model::kHeTorrance || model == Model::kHeTorranceRoughnessAsGiven; }
 
 template <typename T>
 const T& pi() {
@@ -379,16 +381,16 @@ Sum<Dual<T, N>, T> seriesSum(const Dual<T, N>& g, const Dual<T, N>& a) {
     return {result, steepness(s, a.v)};
 }
 
-// G S D / (pi cos_i cos_r): f = rho_ud / pi + F times this. Lengths in wavelengths.
+// G S D / (pi cos_i cos_r): f = rho_ud / pi + F times this. Lengths in wavelengths. As given: sigma = sigma_0.
 template <typename X, typename T>
-Sum<X, T> roughness(const X& sigma_0, const X& tau, const Directions<T>& d) {
+Sum<X, T> roughness(const X& sigma_0, const X& tau, const Directions<T>& d, bool as_given) {
     if (d.grazing || sigma_0 == X(0) || tau == X(0)) {
         return {0, 0};
     }
     const T geometric = square(T(dot(d.sum, d.sum) / d.sum[2]));
     const Masking<X> i(sigma_0, tau, d.sin_i, d.cos_i);
     const Masking<X> r(sigma_0, tau, d.sin_r, d.cos_r);
-    const X z_0 = heightOffset(sigma_0, X(i.k + r.k));
+    const X z_0 = as_given ? X(0) : heightOffset(sigma_0, X(i.k + r.k));
     const X sigma = sigma_0 / sqrt(X(1) + square(X(z_0 / sigma_0)));
     const T wave_number = 2 * pi<T>();
     const X g = square(X(X(wave_number) * sigma * X(d.cos_i + d.cos_r)));
@@ -416,6 +418,9 @@ Model checkedModel(std::string_view name, std::size_t parameter_count, bool is_i
     } else if (name == "he_torrance") {
         model = Model::kHeTorrance;
         count_ok = parameter_count == 5;
+    } else if (name == "he_torrance_roughness_as_given") {
+        model = Model::kHeTorranceRoughnessAsGiven;
+        count_ok = parameter_count == 5;
     } else {
         throw std::invalid_argument("unknown model: " + std::string(name));
     }
@@ -436,7 +441,7 @@ public:
           model_(checkedModel(name, parameter_count, directions_.cos_i <= 0, directions_.grazing)) {}
 
     Real operator()(std::span<const Real> p) {
-        const std::size_t diffuse = model_ == Model::kHeTorrance ? 4 : 0;
+        const std::size_t diffuse = isHeTorrance(model_) ? 4 : 0;
         Real f = p[diffuse] / pi<Real>();
         switch (model_) {
             case Model::kLambert: break;
@@ -448,6 +453,7 @@ public:
                 }
                 break;
             case Model::kHeTorrance:
+            case Model::kHeTorranceRoughnessAsGiven:
                 f += fresnel(p[2], p[3], dot(directions_.u, directions_.half)) * rememberedRoughness(p[0], p[1]);
                 break;
         }
@@ -458,7 +464,8 @@ private:
     // The series is the expensive part, and differences in n, k and rho_ud leave it unchanged.
     const Real& rememberedRoughness(const Real& sigma_0, const Real& tau) {
         if (!remembered_ || remembered_->sigma_0 != sigma_0 || remembered_->tau != tau) {
-            remembered_ = Remembered{sigma_0, tau, roughness(sigma_0, tau, directions_).value};
+            remembered_ = Remembered{
+                sigma_0, tau, roughness(sigma_0, tau, directions_, model_ == Model::kHeTorranceRoughnessAsGiven).value};
         }
         return remembered_->value;
     }
@@ -487,7 +494,7 @@ std::vector<Real> gradient(std::string_view model, std::span<const double> param
                            const Real& relative_step) {
     Function function(model, parameters.size(), geometry);
     const std::vector<Real> all(parameters.begin(), parameters.end());
-    const std::size_t diffuse = model == "he_torrance" ? 4 : 0;
+    const std::size_t diffuse = model.starts_with("he_torrance") ? 4 : 0;
     std::vector<Real> result;
     for (std::size_t i = 0; i < all.size(); ++i) {
         // Summands without the parameter are left out of the difference: they cancel, and next to them a weak
@@ -531,7 +538,7 @@ Jet<T> jet(std::string_view model, std::span<const double> parameters, const Geo
     const auto p = [&](std::size_t i) { return T(parameters[i]); };
     Jet<T> result;
     result.gradient.assign(parameters.size(), T(0));
-    result.gradient[kind == Model::kHeTorrance ? 4 : 0] = 1 / pi<T>();
+    result.gradient[isHeTorrance(kind) ? 4 : 0] = 1 / pi<T>();
     switch (kind) {
         case Model::kLambert: break;
         case Model::kPhong:
@@ -555,9 +562,11 @@ Jet<T> jet(std::string_view model, std::span<const double> parameters, const Geo
                 }
             }
             break;
-        case Model::kHeTorrance: {
+        case Model::kHeTorrance:
+        case Model::kHeTorranceRoughnessAsGiven: {
             const Pair reflectance = fresnelJet(parameters[2], parameters[3], T(dot(directions.u, directions.half)));
-            const Sum<Pair, T> rough = roughness(Pair(p(0), 0), Pair(p(1), 1), directions);
+            const Sum<Pair, T> rough =
+                roughness(Pair(p(0), 0), Pair(p(1), 1), directions, kind == Model::kHeTorranceRoughnessAsGiven);
             const Pair& rest = rough.value;
             result.steepness = rough.steepness;
             result.specular = reflectance.v * rest.v;

@@ -40,6 +40,7 @@ struct Geometry {
 ///   ward         {rho_d, rho_s, alpha}
 ///   lafortune    {k_d, then (c_xy, c_z, n) per lobe}
 ///   he_torrance  {sigma, tau, n, k, rho_ud}, sigma and tau in wavelengths; without the ideal specular term
+///   he_torrance_roughness_as_given  the same with sigma in place of the effective roughness
 /// Throws std::invalid_argument for an unknown model, a wrong number of parameters, or a grazing direction at
 /// which the model diverges (he_torrance has the finite limit rho_ud / pi there).
 Real value(std::string_view model, std::span<const double> parameters, const Geometry& geometry);
