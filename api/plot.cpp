@@ -35,17 +35,27 @@ constexpr std::string_view kDot = R"(stroke="#8a8a8a" stroke-width="2" stroke-li
 
 // ---- what to draw ---------------------------------------------------------------------------------------------------
 
-/// A model, and the how-manieth of its fits in the channel by number of lobes.
+/// Of simpler forms, which are many, only the recommended one is drawn.
+bool is_drawn(const ChannelReport& channel, const Fit& fit) {
+    return fit.submodel.empty() ||
+           (channel.recommended && channel.recommended->fit && &channel.fits[*channel.recommended->fit] == &fit);
+}
+
+/// A model, and the how-manieth of its drawn fits in the channel by number of lobes, a simpler form before the whole.
 using Slot = std::pair<std::string, std::ptrdiff_t>;
 Slot slot_of(const ChannelReport& channel, const Fit& fit) {
-    const auto before = [&](const Fit& f) { return f.model == fit.model && f.lobes < fit.lobes; };
+    const auto before = [&](const Fit& f) {
+        return f.model == fit.model && is_drawn(channel, f) &&
+               std::pair(f.lobes, f.submodel.empty()) < std::pair(fit.lobes, fit.submodel.empty());
+    };
     return {fit.model, std::count_if(channel.fits.begin(), channel.fits.end(), before)};
 }
 /// The place in here decides the style.
 std::set<Slot> slots(const Report& report) {
     std::set<Slot> all;
     for (const ChannelReport& channel : report.channels) {
-        for (const Fit& fit : channel.fits) all.insert(slot_of(channel, fit));
+        for (const Fit& fit : channel.fits)
+            if (is_drawn(channel, fit)) all.insert(slot_of(channel, fit));
         for (const optim::Failure& failure : channel.failures) all.insert({failure.model, 0});
     }
     return all;
@@ -154,10 +164,11 @@ View view_of(const Report& report, const ChannelReport& channel, const PlotOptio
     View view{channel};
     const std::set<Slot> order = slots(report);
     for (const Fit& fit : channel.fits) {
-        if (!wanted(options, fit.model)) continue;
+        if (!wanted(options, fit.model) || !is_drawn(channel, fit)) continue;
         const auto slot = std::distance(order.begin(), order.find(slot_of(channel, fit)));
         const std::string lobes = fit.lobes > 0 ? " (" + counted(fit.lobes, "lobe") + ")" : "";
-        view.series.push_back({&fit, fit.model + lobes, style(static_cast<std::size_t>(slot))});
+        const std::string submodel = fit.submodel.empty() ? "" : ", " + fit.submodel;
+        view.series.push_back({&fit, fit.model + lobes + submodel, style(static_cast<std::size_t>(slot))});
     }
     for (const optim::Failure& failure : channel.failures)
         if (wanted(options, failure.model)) view.failures.push_back(failure);

@@ -20,10 +20,12 @@ using optim::FitOptions;
 using optim::Interval;
 using optim::ModelRequest;
 using optim::Sample;
+using optim::Scene;
 
 constexpr double kLargestSeed = 9007199254740991;  // 2^53 - 1: exact in every JSON parser
 constexpr double kLongestTime_s = 3600;
 constexpr std::size_t kMostModels = 50;
+constexpr std::string_view kSceneKeys = "scene.";  // members of the scene in a query
 
 // ---- options ----
 
@@ -57,12 +59,54 @@ const std::vector<Field<FitOptions>> kOptionFields{
     {"time_limit_s", false, "of the whole request, in seconds", read_time_limit},
 };
 
+// ---- scene ----
+
+constexpr double kLargestTolerance_log10 = 10;
+
+Field<Scene> angles_field(std::string_view key, std::string_view doc, Interval Scene::*angles) {
+    return {key, false, doc, [=](const json& v, const Place& p, Scene& out) {
+                if (!v.is_array() || v.size() != 2 || !v[0].is_number() || !v[1].is_number())
+                    return p.fail("wrong_type", "must be [low, high]");
+                const Interval interval{v[0].get<double>(), v[1].get<double>()};
+                if (!(0 <= interval.min && interval.min <= interval.max && interval.max <= 90))
+                    return p.fail("out_of_range", "must be 0 <= low <= high <= 90");
+                out.*angles = interval;
+            }};
+}
+
+const std::vector<Field<Scene>> kSceneFields{
+    angles_field("theta_i_deg", "incidence angles that the scene sees, [low, high]", &Scene::theta_i_deg),
+    angles_field("theta_r_deg", "exitant angles that the scene sees, without sign, [low, high]", &Scene::theta_r_deg),
+    {"outside_weight", false, "weight of a sample outside, where one within has 1; 0: left out",
+     [](const json& v, const Place& p, Scene& out) {
+         const auto number = read_number(v, p);
+         if (!number) return;
+         if (!(*number >= 0 && *number < 1)) p.fail("out_of_range", "must lie in [0, 1)");
+         else out.outside_weight = *number;
+     }},
+    {"tolerance_log10", false, "the largest root mean square error that is good enough, in decades",
+     [](const json& v, const Place& p, Scene& out) {
+         const auto number = read_number(v, p);
+         if (!number) return;
+         if (!(*number > 0 && *number <= kLargestTolerance_log10)) p.fail("out_of_range", "must lie in (0, 10]");
+         else out.tolerance_log10 = *number;
+     }},
+    {"max_ns_per_evaluation", false, "the most that an evaluation may cost on this device, in nanoseconds",
+     [](const json& v, const Place& p, Scene& out) {
+         const auto number = read_number(v, p);
+         if (!number) return;
+         if (!(*number > 0)) p.fail("out_of_range", "must be above 0");
+         else out.max_ns_per_evaluation = *number;
+     }},
+};
+
 // ---- models ----
 
 /// A model before its family is known to exist.
 struct RawModel {
     std::string name;
     const json* lobes = nullptr;
+    const json* submodel = nullptr;
     const json* fixed = nullptr;
     const json* bounds = nullptr;
 };
@@ -72,6 +116,8 @@ const std::vector<Field<RawModel>> kModelFields{
      [](const json& v, const Place& p, RawModel& out) { out.name = read_text(v, p).value_or(""); }},
     {"lobes", false, "number of lobes, or \"auto\"",
      [](const json& v, const Place&, RawModel& out) { out.lobes = &v; }},
+    {"submodel", false, "a simpler form of the model, by its name",
+     [](const json& v, const Place&, RawModel& out) { out.submodel = &v; }},
     {"fixed", false, "parameters held at a value", [](const json& v, const Place&, RawModel& out) { out.fixed = &v; }},
     {"bounds", false, "parameters kept within [low, high]",
      [](const json& v, const Place&, RawModel& out) { out.bounds = &v; }},
@@ -85,9 +131,22 @@ void read_parameters(const json* object, const Place& place, const ModelRequest&
         place.fail("wrong_type", "must be an object");
         return;
     }
-    const kernels::Model& model = request.family->variant(request.most_lobes());
+    const kernels::Model& model = request.variant(request.most_lobes());
     for (const auto& [name, value] : object->items())
         if (is_parameter(place, model, name)) read(name, value, place.at(name));
+}
+
+/// nullptr after an error.
+const kernels::Submodel* read_submodel(const json& value, const Place& place, const kernels::Family& family) {
+    const auto name = read_text(value, place);
+    if (!name) return nullptr;
+    const kernels::Submodel* submodel = family.submodel(*name);
+    if (submodel != nullptr) return submodel;
+    std::string names;
+    for (const kernels::Submodel& s : family.submodels) names += (names.empty() ? "" : ", ") + s.name;
+    place.fail("unknown_value",
+               names.empty() ? "the model " + family.name + " has no simpler forms" : "must be one of: " + names);
+    return nullptr;
 }
 
 std::optional<ModelRequest> read_model(const json& value, const Place& place, const kernels::Catalogue& catalogue) {
@@ -110,8 +169,14 @@ std::optional<ModelRequest> read_model(const json& value, const Place& place, co
     }
     if (raw.lobes != nullptr && !is_auto(*raw.lobes))
         request.lobes = read_lobes(*raw.lobes, place.at("lobes"), *request.family);
+    if (raw.submodel != nullptr) request.submodel = read_submodel(*raw.submodel, place.at("submodel"), *request.family);
+    const auto is_held = [&](const std::string& name, const Place& p) {
+        const bool held = request.submodel != nullptr && request.submodel->fixed.count(name) != 0;
+        if (held) p.fail("contradiction", "the submodel " + request.submodel->name + " holds the parameter");
+        return held;
+    };
     read_parameters(raw.fixed, place.at("fixed"), request, [&](const std::string& name, const json& v, const Place& p) {
-        if (const auto number = read_number(v, p)) request.fixed[name] = *number;
+        if (const auto number = read_number(v, p); number && !is_held(name, p)) request.fixed[name] = *number;
     });
     read_parameters(raw.bounds, place.at("bounds"), request,
                     [&](const std::string& name, const json& v, const Place& p) {
@@ -121,7 +186,8 @@ std::optional<ModelRequest> read_model(const json& value, const Place& place, co
                             p.fail("out_of_range", "low must be below high; to hold a parameter use \"fixed\"");
                         else if (request.fixed.count(name) != 0)
                             p.fail("contradiction", "the parameter is fixed as well");
-                        else request.bounds[name] = Interval{v[0].get<double>(), v[1].get<double>()};
+                        else if (!is_held(name, p))
+                            request.bounds[name] = Interval{v[0].get<double>(), v[1].get<double>()};
                     });
     return request;
 }
@@ -285,10 +351,17 @@ const std::vector<Field<Dataset>> kDatasetFields{
 /// What the fields cannot say one by one: enough samples, bounds within domains, sigma for chi2.
 void check_together(const FitRequest& request, bool models_given, const Place& place) {
     for (std::size_t c = 0; c < request.dataset.channels.size(); ++c) {
-        const Channel& channel = request.dataset.channels[c];
+        const Channel& whole = request.dataset.channels[c];
         const Place channel_place = place.at("dataset").at("channels").at(c);
-        if (channel.samples.empty()) {
+        if (whole.samples.empty()) {
             channel_place.fail("empty", "the channel has no samples");
+            continue;
+        }
+        const std::optional<Scene>& scene = request.options.scene;
+        const Channel channel = scene ? seen_by(*scene, whole) : whole;
+        if (scene && std::none_of(channel.samples.begin(), channel.samples.end(),
+                                  [&](const Sample& sample) { return scene->sees(sample.direction); })) {
+            place.at("scene").fail("empty", "no sample of channel " + channel.name + " lies within");
             continue;
         }
         if (request.options.loss == optim::Loss::chi2 &&
@@ -301,7 +374,7 @@ void check_together(const FitRequest& request, bool models_given, const Place& p
             const Place model_place = place.at("models").at(m);
             try {
                 const std::size_t needed = samples_needed(model, channel);
-                (void)parameter_bounds(model.family->variant(model.most_lobes()), model, channel);
+                (void)parameter_bounds(model.variant(model.most_lobes()), model, channel);
                 possible = possible || needed <= channel.samples.size();
                 if (models_given && needed > channel.samples.size())
                     channel_place.fail("too_few_samples", "has " + std::to_string(channel.samples.size()) +
@@ -321,6 +394,7 @@ struct RawRequest {
     const json* dataset = nullptr;
     const json* models = nullptr;
     const json* options = nullptr;
+    const json* scene = nullptr;
 };
 
 const std::vector<Field<RawRequest>> kRequestFields{
@@ -328,6 +402,8 @@ const std::vector<Field<RawRequest>> kRequestFields{
     {"models", false, "models to fit; all if absent",
      [](const json& v, const Place&, RawRequest& out) { out.models = &v; }},
     {"options", false, "options of the fit", [](const json& v, const Place&, RawRequest& out) { out.options = &v; }},
+    {"scene", false, "what the models are for: the cheapest that is good enough is recommended",
+     [](const json& v, const Place&, RawRequest& out) { out.scene = &v; }},
 };
 
 /// Models and options into the request, then the checks over everything.
@@ -339,12 +415,21 @@ void finish(const RawRequest& raw, const kernels::Catalogue& catalogue, FitReque
         for (const kernels::Family& family : catalogue.families()) request.models.push_back({&family, {}, {}, {}});
     if (raw.options != nullptr)
         read_object<FitOptions>(*raw.options, root.at("options"), kOptionFields, request.options);
+    if (raw.scene != nullptr)
+        read_object<Scene>(*raw.scene, root.at("scene"), kSceneFields, request.options.scene.emplace());
     if (errors.empty()) check_together(request, raw.models != nullptr, root);
     refuse_if_any(std::move(errors));
 }
 
-/// A query parameter's text as JSON: a number where it is one.
+/// A query parameter's text as JSON: a number where it is one, and numbers where commas are between.
 json query_value(const std::string& text) {
+    if (text.find(',') != std::string::npos) {
+        std::vector<std::string> parts;
+        boost::algorithm::split(parts, text, [](char c) { return c == ','; });
+        json values = json::array();
+        for (const std::string& part : parts) values.push_back(query_value(part));
+        return values;
+    }
     double number = 0;
     const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
     if (error == std::errc{} && end == text.data() + text.size() && std::isfinite(number)) return number;
@@ -375,6 +460,7 @@ FitRequest read_fit_request_csv(std::string_view body, const Query& query, const
     json models;
     json options = json::object();
     json dataset = json::object();
+    json scene;
     for (const auto& [key, value] : query) {
         const auto is_key = [&key = key](const auto& field) { return field.key == key; };
         if (query.count(key) > 1) root.at(key).fail("duplicate_key", "the query parameter stands twice");
@@ -384,9 +470,11 @@ FitRequest read_fit_request_csv(std::string_view body, const Query& query, const
             models = names;
         } else if (key == "unit" || key == "name") dataset[key] = value;
         else if (std::any_of(kOptionFields.begin(), kOptionFields.end(), is_key)) options[key] = query_value(value);
+        else if (key.starts_with(kSceneKeys)) scene[key.substr(kSceneKeys.size())] = query_value(value);
         else {
             std::string names = "models, unit, name";
             for (const auto& field : kOptionFields) names += ", " + std::string(field.key);
+            for (const auto& field : kSceneFields) names += ", " + std::string(kSceneKeys) + std::string(field.key);
             root.at(key).fail("unknown_key", "unknown query parameter; valid are: " + names);
         }
     }
@@ -396,6 +484,7 @@ FitRequest read_fit_request_csv(std::string_view body, const Query& query, const
     RawRequest raw;
     if (!models.is_null()) raw.models = &models;
     raw.options = &options;
+    if (!scene.is_null()) raw.scene = &scene;
     finish(raw, catalogue, request, errors);
     return request;
 }

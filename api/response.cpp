@@ -42,6 +42,7 @@ Json parameter_json(const optim::FittedParameter& p) {
 Json fit_json(const optim::Fit& fit, const std::string& plot_link) {
     Json json{{"rank", fit.rank}, {"model", fit.model}};
     if (fit.lobes > 0) json["lobes"] = fit.lobes;
+    if (!fit.submodel.empty()) json["submodel"] = fit.submodel;
     json["parameters"] = Json::object();
     for (const optim::FittedParameter& p : fit.parameters) json["parameters"][p.name] = parameter_json(p);
     if (fit.scale) json["scale"] = number(*fit.scale);
@@ -65,6 +66,41 @@ Json fit_json(const optim::Fit& fit, const std::string& plot_link) {
     return json;
 }
 
+Json pareto_json(const optim::ChannelReport& channel, const optim::ParetoPoint& point) {
+    const optim::Fit& fit = channel.fits[point.fit];
+    Json json{{"model", fit.model}};
+    if (fit.lobes > 0) json["lobes"] = fit.lobes;
+    if (!fit.submodel.empty()) json["submodel"] = fit.submodel;
+    json["rank"] = fit.rank;
+    json["ns_per_evaluation"] = number(point.ns_per_evaluation);
+    json["log10_rmse"] = number(point.log10_rmse);
+    return json;
+}
+
+Json recommended_json(const optim::ChannelReport& channel) {
+    const optim::Recommendation& recommended = *channel.recommended;
+    Json json{{"model", nullptr}};
+    if (recommended.fit) {
+        const optim::Fit& fit = channel.fits[*recommended.fit];
+        json["model"] = fit.model;
+        if (fit.lobes > 0) json["lobes"] = fit.lobes;
+        if (!fit.submodel.empty()) json["submodel"] = fit.submodel;
+        json["rank"] = fit.rank;
+    }
+    json["reason"] = recommended.reason;
+    if (recommended.next_better) json["next_better"] = pareto_json(channel, *recommended.next_better);
+    return json;
+}
+
+Json scene_json(const optim::Scene& scene) {
+    Json json{{"theta_i_deg", {scene.theta_i_deg.min, scene.theta_i_deg.max}},
+              {"theta_r_deg", {scene.theta_r_deg.min, scene.theta_r_deg.max}},
+              {"outside_weight", scene.outside_weight},
+              {"tolerance_log10", scene.tolerance_log10}};
+    if (scene.max_ns_per_evaluation) json["max_ns_per_evaluation"] = *scene.max_ns_per_evaluation;
+    return json;
+}
+
 Json channel_json(const optim::ChannelReport& channel, const std::string& plots, bool one_of_many) {
     Json json{{"name", channel.channel.name}};
     if (channel.channel.wavelength_nm) json["wavelength_nm"] = *channel.channel.wavelength_nm;
@@ -74,8 +110,17 @@ Json channel_json(const optim::ChannelReport& channel, const std::string& plots,
     for (const optim::Fit& fit : channel.fits)
         json["fits"].push_back(fit_json(fit, plots + "brdf.svg?models=" + fit.model + which));
     json["failures"] = Json::array();
-    for (const optim::Failure& failure : channel.failures)
-        json["failures"].push_back({{"model", failure.model}, {"reason", failure.reason}});
+    for (const optim::Failure& failure : channel.failures) {
+        Json entry{{"model", failure.model}};
+        if (!failure.submodel.empty()) entry["submodel"] = failure.submodel;
+        entry["reason"] = failure.reason;
+        json["failures"].push_back(std::move(entry));
+    }
+    if (channel.recommended) {
+        json["recommended"] = recommended_json(channel);
+        json["pareto"] = Json::array();
+        for (const optim::ParetoPoint& point : channel.pareto) json["pareto"].push_back(pareto_json(channel, point));
+    }
     if (!channel.warnings.empty()) json["warnings"] = channel.warnings;
     return json;
 }
@@ -107,6 +152,8 @@ Json family_json(const kernels::Family& family) {
                              {"max", family.repeat->max},
                              {"default", "auto"},
                              {"auto_max", family.repeat->auto_max}}}};
+    json["submodels"] = Json::array();
+    for (const kernels::Submodel& submodel : family.submodels) json["submodels"].push_back(submodel.name);
     json["traits"] = Json::object();
     for (const auto& [name, value] : model.traits) json["traits"][name] = value;
     json["links"] = {{"self", "/v1/models/" + family.name}};
@@ -162,20 +209,20 @@ std::string to_json(const optim::Report& report, const std::string& id) {
     }
     Json device = device_json(report.device);
     device["precision"] = name_of(kPrecisions, report.precision);
-    return text_of({{"id", id},
-                    {"state", any ? "succeeded" : "failed"},
-                    {"version", version()},
-                    {"seed", report.seed},
-                    {"device", device},
-                    {"dataset", {{"name", report.dataset}, {"unit", name_of(kUnits, report.unit)}}},
-                    {"channels", channels},
-                    {"links",
-                     {{"self", self},
-                      {"result", self + "/result"},
-                      {"plots",
-                       {{"brdf", plots + "brdf.svg"},
-                        {"residual", plots + "residual.svg"},
-                        {"summary", plots + "summary.svg"}}}}}});
+    Json json{{"id", id},
+              {"state", any ? "succeeded" : "failed"},
+              {"version", version()},
+              {"seed", report.seed},
+              {"device", device},
+              {"dataset", {{"name", report.dataset}, {"unit", name_of(kUnits, report.unit)}}}};
+    if (report.scene) json["scene"] = scene_json(*report.scene);
+    json["channels"] = std::move(channels);
+    json["links"] = {
+        {"self", self},
+        {"result", self + "/result"},
+        {"plots",
+         {{"brdf", plots + "brdf.svg"}, {"residual", plots + "residual.svg"}, {"summary", plots + "summary.svg"}}}};
+    return text_of(json);
 }
 
 std::string to_json(const kernels::Catalogue& catalogue) {

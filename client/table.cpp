@@ -90,8 +90,8 @@ std::string table(const optim::Report& report) {
         for (const optim::Fit& fit : channel.fits) {
             const std::string decades = fit.log10_rmse ? fmt::format("{:.3f}", *fit.log10_rmse) : "-";
             text += fmt::format("  {:>4}  {:<14} {:>11.5g} {:>8} {:>8.1f}  {}\n", fit.rank,
-                                kernels::variant_name(fit.model, fit.lobes), fit.loss, decades, 1e3 * fit.search.time_s,
-                                parameters(fit));
+                                kernels::variant_name(fit.model, fit.lobes, fit.submodel), fit.loss, decades,
+                                1e3 * fit.search.time_s, parameters(fit));
             for (const std::string& warning : fit.warnings) text += fmt::format("{:>22}{}\n", "", warning);
         }
         for (const optim::Failure& failure : channel.failures)

@@ -14,6 +14,7 @@ struct Sample {
     kernels::Direction direction;
     double brdf = 0;                ///< [1/sr], or relative; may be negative: noise below the floor
     std::optional<double> sigma{};  ///< standard deviation of brdf, same unit, > 0
+    double weight = 1;  ///< factor of the loss's weight, in (0, 1]; below 1 it counts in no error that is reported
 
     bool operator==(const Sample&) const = default;
 };

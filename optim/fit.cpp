@@ -5,8 +5,10 @@
 #include <future>
 #include <iterator>
 #include <list>
+#include <mutex>
 #include <numbers>
 #include <set>
+#include <tuple>
 
 #include <fmt/format.h>
 #include <boost/asio/post.hpp>  // a kept thread pool
@@ -321,6 +323,7 @@ Fit describe(const Work& work, const Prepared& prepared, Optimum optimum) {
     Fit fit;
     fit.model = work.request.family->name;
     fit.lobes = optimum.model->repeats;
+    if (work.request.submodel != nullptr) fit.submodel = work.request.submodel->name;
     if (work.unit == Unit::relative) fit.scale = optimum.scale;
     const kernels::Values values =
         kernels::evaluate(work.engine, *optimum.model, precision, optimum.parameters, work.directions.samples, true);
@@ -367,7 +370,7 @@ Fit fit_model(const Work& work) {
     std::optional<Fit> fit;
     std::size_t evaluations = 0;
     for (std::size_t lobes = family.repeat ? family.repeat->min : 1; lobes <= work.request.most_lobes(); ++lobes) {
-        const Model& model = family.variant(lobes);
+        const Model& model = work.request.variant(lobes);
         const Prepared prepared = prepare(work, model);
         const Weighted weighted = weigh(prepared.channel, work.options.loss);
         const std::size_t free = free_parameters(prepared.bounds);
@@ -417,11 +420,15 @@ Broker::Limits broker_limits(const kernels::DeviceInfo& device) {
 struct Outcome {
     std::optional<Fit> fit;
     Failure failure;
+    bool dropped = false;  ///< another says the same
 };
 
 Outcome try_fit(const Work& work) {
     const auto failed = [&](std::string reason, const std::exception& error) {
-        return Outcome{std::nullopt, {work.request.family->name, std::move(reason), error.what()}};
+        const kernels::Submodel* submodel = work.request.submodel;
+        return Outcome{
+            std::nullopt,
+            {work.request.family->name, submodel != nullptr ? submodel->name : "", std::move(reason), error.what()}};
     };
     try {
         return {fit_model(work), {}};
@@ -445,9 +452,51 @@ std::vector<std::string> channel_warnings(const Channel& channel) {
             "relative errors are taken"};
 }
 
+/// A model to fit, and which of the request's it is a form of.
+struct Form {
+    ModelRequest model;
+    std::size_t of = 0;
+};
+
+/// The models, and their simpler forms: those with fewer lobes, and submodels that hold nothing the request speaks of.
+std::vector<Form> with_simpler_forms(const std::vector<ModelRequest>& models) {
+    std::vector<Form> forms;
+    for (std::size_t i = 0; i < models.size(); ++i) {
+        std::vector<ModelRequest> wholes{models[i]};
+        if (const auto& repeat = models[i].family->repeat)
+            for (std::size_t lobes = models[i].most_lobes() - 1; lobes >= repeat->min; --lobes) {
+                wholes.push_back(models[i]);
+                wholes.back().lobes = lobes;
+            }
+        for (const ModelRequest& whole : wholes) {
+            forms.push_back({whole, i});
+            if (whole.submodel != nullptr) continue;
+            for (const kernels::Submodel& submodel : whole.family->submodels) {
+                const auto is_named = [&](const auto& held) {
+                    return whole.fixed.count(held.first) > 0 || whole.bounds.count(held.first) > 0;
+                };
+                if (std::any_of(submodel.fixed.begin(), submodel.fixed.end(), is_named)) continue;
+                forms.push_back({whole, i});
+                forms.back().model.submodel = &submodel;
+            }
+        }
+    }
+    return forms;
+}
+
+/// Drops forms that turned out to be the same: "auto" had found that fewer lobes are enough.
+void drop_repeated(const std::vector<Form>& forms, std::vector<Outcome>& outcomes) {
+    std::set<std::tuple<std::size_t, std::size_t, std::string>> seen;
+    for (std::size_t i = 0; i < outcomes.size(); ++i)
+        if (std::optional<Fit>& fit = outcomes[i].fit;
+            fit && !seen.emplace(forms[i].of, fit->lobes, fit->submodel).second)
+            outcomes[i].dropped = true;
+}
+
 ChannelReport rank(const Channel& channel, std::vector<Outcome> outcomes) {
     ChannelReport report{channel, {}, {}, channel_warnings(channel)};
     for (Outcome& outcome : outcomes) {
+        if (outcome.dropped) continue;
         if (outcome.fit) report.fits.push_back(std::move(*outcome.fit));
         else report.failures.push_back(std::move(outcome.failure));
     }
@@ -489,6 +538,9 @@ std::vector<Interval> parameter_bounds(const Model& model, const ModelRequest& r
             interval = {it->second.min * unit, it->second.max * unit};
         if (const auto it = request.fixed.find(parameter.name); it != request.fixed.end())
             interval = {it->second * unit, it->second * unit};
+        if (request.submodel != nullptr)
+            if (const auto it = request.submodel->fixed.find(parameter.name); it != request.submodel->fixed.end())
+                interval = {it->second, it->second};
         if (!(interval.min <= interval.max)) throw InvalidBounds(parameter.name, "the lower bound is above the upper");
         // In the model's unit a bound may have become too large for a double.
         if (interval.min < parameter.domain_min || interval.max > parameter.domain_max ||
@@ -502,7 +554,7 @@ std::vector<Interval> parameter_bounds(const Model& model, const ModelRequest& r
 std::size_t samples_needed(const ModelRequest& request, const Channel& channel) {
     const kernels::Family& family = *request.family;
     const std::size_t lobes = request.lobes.value_or(family.repeat ? family.repeat->min : 1);
-    return free_parameters(parameter_bounds(family.variant(lobes), request, channel));
+    return free_parameters(parameter_bounds(request.variant(lobes), request, channel));
 }
 
 /// One of the two.
@@ -519,6 +571,8 @@ struct Fitter::Workers {
 
     std::unique_ptr<boost::asio::thread_pool> pool;
     std::optional<Broker> broker;
+    std::mutex mutex;            ///< of what follows
+    std::set<std::string> warm;  ///< submodels with a text of their own that have been built
 };
 
 Fitter::Fitter(kernels::Engine& engine, unsigned threads)
@@ -529,9 +583,26 @@ Fitter::~Fitter() {
 }
 
 void Fitter::warm_up(const kernels::Family& family) {
+    for (const Model& model : family.variants) warm_up(model);
+}
+
+void Fitter::warm_up(const ModelRequest& request) {
+    if (request.submodel == nullptr) return;  // whole models are warm
+    const kernels::Submodel& submodel = *request.submodel;
+    for (const Model& model : submodel.variants) {
+        const std::lock_guard lock(workers_->mutex);
+        if (!workers_->warm.insert(model.name + ' ' + std::to_string(model.repeats)).second) continue;
+        try {
+            warm_up(model);
+        } catch (const kernels::BuildError&) {  // the fit will tell
+        }
+    }
+}
+
+void Fitter::warm_up(const Model& model) {
     const std::vector<kernels::Direction> directions(1);
     const std::vector<double> one(1, 1.0);
-    const auto run = [&](const Model& model, kernels::Precision precision, kernels::Accuracy accuracy) {
+    const auto run = [&](kernels::Precision precision, kernels::Accuracy accuracy) {
         kernels::Evaluator evaluator(engine_, model, precision, directions, one, one, accuracy);
         std::vector<double> parameters;
         for (const kernels::Parameter& p : model.parameters) parameters.push_back(p.typical_min);
@@ -542,12 +613,9 @@ void Fitter::warm_up(const kernels::Family& family) {
         evaluator.loss(parameters, c, false, batch);
         (void)evaluator.terms(parameters);
     };
-    for (const Model& model : family.variants) {
-        run(model, engine_.best_precision(), kernels::Accuracy::full);
-        if (!model.begins_quickly()) continue;
-        run(model, engine_.quickest_precision(),
-            model.sums_series() ? kernels::Accuracy::search : kernels::Accuracy::full);
-    }
+    run(engine_.best_precision(), kernels::Accuracy::full);
+    if (model.begins_quickly())
+        run(engine_.quickest_precision(), model.sums_series() ? kernels::Accuracy::search : kernels::Accuracy::full);
 }
 
 Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& models, const FitOptions& options,
@@ -557,24 +625,33 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
                   options.seed,
                   engine_.device(),
                   options.precision.value_or(engine_.best_precision()),
+                  options.scene,
                   {}};
     if (const auto reason = engine_.refusal(report.precision)) throw kernels::PrecisionError(*reason);
     const SearchControl control{
         options.seed, Clock::now() + std::chrono::duration_cast<Clock::duration>(options.time_limit), std::move(stop)};
+    std::vector<Channel> channels = dataset.channels;
+    std::vector<Form> forms;
+    if (options.scene) {
+        for (Channel& channel : channels) channel = seen_by(*options.scene, std::move(channel));
+        forms = with_simpler_forms(models);
+    } else
+        for (std::size_t i = 0; i < models.size(); ++i) forms.push_back({models[i], i});
     // Before anything runs: requests that cannot be met throw here, in the caller's thread.
-    for (const Channel& channel : dataset.channels) {
+    for (const Channel& channel : channels) {
         (void)weigh(channel, options.loss);
         for (const ModelRequest& model : models) (void)samples_needed(model, channel);
     }
+    for (const Form& form : forms) warm_up(form.model);
 
     std::list<Directions> directions;
     std::vector<std::packaged_task<Outcome()>> tasks;  // channels x models
     std::vector<std::future<Outcome>> futures;
-    for (const Channel& channel : dataset.channels) {
+    for (const Channel& channel : channels) {
         if (directions.empty() || !same_directions(channel, directions.back().samples))
             directions.emplace_back(channel);
-        for (const ModelRequest& model : models) {
-            const Work work{engine_, channel, directions.back(), dataset.unit, model, options, control};
+        for (const Form& form : forms) {
+            const Work work{engine_, channel, directions.back(), dataset.unit, form.model, options, control};
             tasks.emplace_back([work] { return try_fit(work); });
             futures.push_back(tasks.back().get_future());
         }
@@ -582,14 +659,16 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
     // The longest first, so that no thread is left with one at the end.
     for (const bool longest : {true, false})
         for (std::size_t i = 0; i < tasks.size(); ++i)
-            if (models[i % models.size()].family->variants.front().sums_series() == longest)
-                workers_->post(std::move(tasks[i]), dataset.channels[i / models.size()].samples.size());
+            if (forms[i % forms.size()].model.family->variants.front().sums_series() == longest)
+                workers_->post(std::move(tasks[i]), channels[i / forms.size()].samples.size());
     for (auto& future : futures) future.wait();  // tasks refer to this call's arguments
     auto future = futures.begin();
-    for (const Channel& channel : dataset.channels) {
+    for (const Channel& channel : channels) {
         std::vector<Outcome> outcomes;
-        for (std::size_t i = 0; i < models.size(); ++i) outcomes.push_back((future++)->get());
+        for (std::size_t i = 0; i < forms.size(); ++i) outcomes.push_back((future++)->get());
+        drop_repeated(forms, outcomes);
         report.channels.push_back(rank(channel, std::move(outcomes)));
+        if (options.judge) judge_scene(options.scene.value_or(Scene{}), report.channels.back());
     }
     return report;
 }

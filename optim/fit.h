@@ -16,6 +16,7 @@
 #include "optim/dataset.h"
 #include "optim/loss.h"
 #include "optim/report.h"
+#include "optim/scene.h"
 #include "optim/search.h"
 #include "optim/space.h"
 
@@ -27,7 +28,12 @@ struct ModelRequest {
     std::optional<std::size_t> lobes{};  ///< none: as few as the data support ("auto"), or a model without lobes
     std::map<std::string, double> fixed;
     std::map<std::string, Interval> bounds;
+    const kernels::Submodel* submodel = nullptr;  ///< of the family; nullptr: the whole model
 
+    /// The model with so many lobes (ignored without lobes).
+    [[nodiscard]] const kernels::Model& variant(std::size_t repeats) const {
+        return family->variant(repeats, submodel);
+    }
     /// The number of lobes from which and up to which the fit goes; 1 and 1 without lobes.
     [[nodiscard]] std::size_t most_lobes() const;
     bool operator==(const ModelRequest&) const = default;
@@ -39,6 +45,8 @@ struct FitOptions {
     std::optional<kernels::Precision> precision{};  ///< none: the best that may be used
     std::uint64_t seed = 1;
     std::chrono::duration<double> time_limit{30};  ///< of the whole request
+    bool judge = true;                             ///< also held-out errors, albedo and physics
+    std::optional<Scene> scene{};                  ///< with one, simpler forms of the models are fitted as well
 
     bool operator==(const FitOptions&) const = default;
 };
@@ -87,6 +95,10 @@ public:
     [[nodiscard]] kernels::Engine& engine() const { return engine_; }
 
 private:
+    void warm_up(const kernels::Model& model);
+    /// Does so for a submodel with a text of its own, once.
+    void warm_up(const ModelRequest& request);
+
     struct Workers;
     kernels::Engine& engine_;
     std::unique_ptr<Workers> workers_;

@@ -13,7 +13,7 @@ struct Share {
     double denominator = 0;
 };
 
-Share share(const Sample& sample, Loss loss) {
+Share share_of_equals(const Sample& sample, Loss loss) {
     const double y = sample.brdf;
     switch (loss) {
         case Loss::cosine_l2: {
@@ -28,6 +28,11 @@ Share share(const Sample& sample, Loss loss) {
             return {1 / (*sample.sigma * *sample.sigma), 1};
     }
     return {};
+}
+
+Share share(const Sample& sample, Loss loss) {
+    const Share s = share_of_equals(sample, loss);
+    return {s.weight * sample.weight, s.denominator * sample.weight};
 }
 
 }  // namespace

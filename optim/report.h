@@ -9,6 +9,7 @@
 
 #include "kernels/engine.h"
 #include "optim/dataset.h"
+#include "optim/scene.h"
 
 namespace brdfit::optim {
 
@@ -51,6 +52,7 @@ struct Fit {
     std::size_t rank = 0;  ///< from 1, by loss
     std::string model;
     std::size_t lobes = 0;  ///< of a model with lobes, else 0
+    std::string submodel;   ///< the name of a simpler form; empty for the whole model
     std::vector<FittedParameter> parameters;
     std::optional<double> scale{};  ///< relative data: measured = scale * f
     double loss = 0;
@@ -60,6 +62,7 @@ struct Fit {
     std::optional<double> aicc{};        ///< none with too few samples for the correction
     double bic = 0;
     std::vector<ScanError> scans;
+    std::optional<double> ns_per_evaluation{};
     SearchRecord search;
     std::vector<std::string> warnings;
     /// The model at the reported parameters, times scale: what the plots draw and the errors measure.
@@ -74,15 +77,18 @@ struct Fit {
 
 struct Failure {
     std::string model;
-    std::string reason;  ///< for the user
-    std::string detail;  ///< for the log: may hold a driver's words
+    std::string submodel;  ///< as in Fit
+    std::string reason;    ///< for the user
+    std::string detail;    ///< for the log: may hold a driver's words
 };
 
 struct ChannelReport {
     Channel channel;        ///< the measurements, as fitted
     std::vector<Fit> fits;  ///< best first
     std::vector<Failure> failures;
-    std::vector<std::string> warnings;
+    std::vector<std::string> warnings{};
+    std::vector<ParetoPoint> pareto{};            ///< cheapest first
+    std::optional<Recommendation> recommended{};  ///< none where it was not asked for
 };
 
 struct Report {
@@ -91,6 +97,7 @@ struct Report {
     std::uint64_t seed = 0;
     kernels::DeviceInfo device;
     kernels::Precision precision = kernels::Precision::double_precision;
+    std::optional<Scene> scene{};  ///< that was asked for
     std::vector<ChannelReport> channels;
 };
 

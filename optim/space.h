@@ -9,17 +9,9 @@
 
 #include "kernels/evaluator.h"
 #include "kernels/model.h"
+#include "optim/interval.h"
 
 namespace brdfit::optim {
-
-/// Bounds of a parameter in the model's own unit; min == max fixes it.
-struct Interval {
-    double min = 0;
-    double max = 0;
-
-    [[nodiscard]] bool fixed() const { return min == max; }
-    bool operator==(const Interval&) const = default;
-};
 
 /// A point of the cube as the evaluator takes it.
 struct Candidate {

@@ -58,6 +58,7 @@ void describe_errors(const Channel& channel, const Weighted& weighted, std::size
     std::map<double, Errors> by_angle;
     for (std::size_t j = 0; j < channel.samples.size(); ++j) {
         const Sample& sample = channel.samples[j];
+        if (sample.weight < 1) continue;
         all.add(fit.values[j], sample.brdf);
         by_angle[sample.direction.theta_i_deg].add(fit.values[j], sample.brdf);
     }

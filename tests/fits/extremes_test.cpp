@@ -312,7 +312,7 @@ const std::set<std::tuple<std::string, Loss, std::string>> kKnownShort{
 
 void expect_sound(const Dataset& dataset, const ModelRequest& request, const Fit& fit, Loss loss, Tally& tally) {
     const Channel& channel = dataset.channels[0];
-    const kernels::Model& model = request.family->variant(std::max<std::size_t>(fit.lobes, 1));
+    const kernels::Model& model = request.variant(std::max<std::size_t>(fit.lobes, 1));
     ++tally.fits;
     ++tally.stops[fit.search.stop_reason];
     expect_numbers(fit);

@@ -42,7 +42,7 @@ inline void check_request(const api::FitRequest& request) {
     require(request.options.time_limit.count() > 0 && request.options.time_limit.count() <= 3600, "time limit");
     for (const optim::ModelRequest& model : request.models) {
         require(model.family != nullptr, "a model");
-        const kernels::Model& variant = model.family->variant(model.most_lobes());
+        const kernels::Model& variant = model.variant(model.most_lobes());
         for (const auto& [name, value] : model.fixed)
             require(variant.find(name) && std::isfinite(value) && model.bounds.count(name) == 0, "fixed " + name);
         for (const auto& [name, bounds] : model.bounds)

@@ -1,0 +1,88 @@
+#include "optim/scene.h"
+
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <tuple>
+
+#include <fmt/format.h>
+
+#include "kernels/model.h"
+#include "optim/report.h"
+
+namespace brdfit::optim {
+namespace {
+
+std::size_t free_parameters(const Fit& fit) {
+    return static_cast<std::size_t>(
+        std::count_if(fit.parameters.begin(), fit.parameters.end(), [](const FittedParameter& p) { return !p.fixed; }));
+}
+
+std::string name_of(const Fit& fit) { return kernels::variant_name(fit.model, fit.lobes, fit.submodel); }
+
+/// The fits with a cost and an error, cheapest first.
+std::vector<ParetoPoint> by_cost(const std::vector<Fit>& fits) {
+    std::vector<ParetoPoint> points;
+    for (std::size_t i = 0; i < fits.size(); ++i)
+        if (fits[i].ns_per_evaluation && fits[i].log10_rmse)
+            points.push_back({i, *fits[i].ns_per_evaluation, *fits[i].log10_rmse});
+    std::stable_sort(points.begin(), points.end(), [&](const ParetoPoint& a, const ParetoPoint& b) {
+        return std::tuple(a.ns_per_evaluation, free_parameters(fits[a.fit]), a.log10_rmse) <
+               std::tuple(b.ns_per_evaluation, free_parameters(fits[b.fit]), b.log10_rmse);
+    });
+    return points;
+}
+
+std::string none_good_enough(const Scene& scene, const std::vector<Fit>& fits, const std::vector<ParetoPoint>& front) {
+    if (front.empty()) return "no model here could be judged: no fit has a cost and an error in decades";
+    const ParetoPoint& best = front.back();
+    if (best.log10_rmse > scene.tolerance_log10)
+        return fmt::format(
+            "no model here is good enough: the best, {}, is off by {:.2g} decades, and {:g} are tolerated",
+            name_of(fits[best.fit]), best.log10_rmse, scene.tolerance_log10);
+    const auto cheapest = std::find_if(front.begin(), front.end(), [&](const ParetoPoint& point) {
+        return point.log10_rmse <= scene.tolerance_log10;
+    });
+    return fmt::format(
+        "no model here is cheap enough: {} is within {:g} decades, but takes {:.3g} ns an evaluation, "
+        "and {:g} can be paid",
+        name_of(fits[cheapest->fit]), scene.tolerance_log10, cheapest->ns_per_evaluation, *scene.max_ns_per_evaluation);
+}
+
+}  // namespace
+
+bool Scene::sees(const kernels::Direction& direction) const {
+    return theta_i_deg.holds(direction.theta_i_deg) && theta_r_deg.holds(std::abs(direction.theta_r_deg));
+}
+
+Channel seen_by(const Scene& scene, Channel channel) {
+    const auto outside = [&](const Sample& sample) { return !scene.sees(sample.direction); };
+    if (scene.outside_weight == 0) std::erase_if(channel.samples, outside);
+    for (Sample& sample : channel.samples)
+        if (outside(sample)) sample.weight = scene.outside_weight;
+    return channel;
+}
+
+void judge_scene(const Scene& scene, ChannelReport& report) {
+    for (const ParetoPoint& point : by_cost(report.fits))
+        if (report.pareto.empty() || point.log10_rmse < report.pareto.back().log10_rmse) report.pareto.push_back(point);
+    const auto good_enough = [&](const ParetoPoint& point) { return point.log10_rmse <= scene.tolerance_log10; };
+    const auto cheapest = std::find_if(report.pareto.begin(), report.pareto.end(), good_enough);
+    Recommendation& recommended = report.recommended.emplace();
+    const double most = scene.max_ns_per_evaluation.value_or(std::numeric_limits<double>::infinity());
+    if (cheapest == report.pareto.end() || cheapest->ns_per_evaluation > most) {
+        recommended.reason = none_good_enough(scene, report.fits, report.pareto);
+        return;
+    }
+    recommended.fit = cheapest->fit;
+    recommended.reason = fmt::format("{} is the cheapest model here within {:g} decades: {:.2g} decades at {:.3g} ns",
+                                     name_of(report.fits[cheapest->fit]), scene.tolerance_log10, cheapest->log10_rmse,
+                                     cheapest->ns_per_evaluation);
+    if (const auto next = std::next(cheapest); next != report.pareto.end()) {
+        recommended.next_better = *next;
+        recommended.reason += fmt::format("; the next better one, {}, is off by {:.2g} decades at {:.3g} ns",
+                                          name_of(report.fits[next->fit]), next->log10_rmse, next->ns_per_evaluation);
+    } else recommended.reason += "; none here is better";
+}
+
+}  // namespace brdfit::optim
