@@ -428,7 +428,7 @@ Outcome try_fit(const Work& work) {
         const kernels::Submodel* submodel = work.request.submodel;
         return Outcome{
             std::nullopt,
-            {work.request.family->name, submodel != nullptr ? submodel->name : "", std::move(reason), error.what()}};
+            {work.request.family->name, std::move(reason), error.what(), submodel != nullptr ? submodel->name : ""}};
     };
     try {
         return {fit_model(work), {}};
@@ -625,8 +625,8 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
                   options.seed,
                   engine_.device(),
                   options.precision.value_or(engine_.best_precision()),
-                  options.scene,
-                  {}};
+                  {},
+                  options.scene};
     if (const auto reason = engine_.refusal(report.precision)) throw kernels::PrecisionError(*reason);
     const SearchControl control{
         options.seed, Clock::now() + std::chrono::duration_cast<Clock::duration>(options.time_limit), std::move(stop)};

@@ -77,9 +77,9 @@ struct Fit {
 
 struct Failure {
     std::string model;
-    std::string submodel;  ///< as in Fit
-    std::string reason;    ///< for the user
-    std::string detail;    ///< for the log: may hold a driver's words
+    std::string reason;      ///< for the user
+    std::string detail;      ///< for the log: may hold a driver's words
+    std::string submodel{};  ///< as in Fit
 };
 
 struct ChannelReport {
@@ -97,8 +97,8 @@ struct Report {
     std::uint64_t seed = 0;
     kernels::DeviceInfo device;
     kernels::Precision precision = kernels::Precision::double_precision;
-    std::optional<Scene> scene{};  ///< that was asked for
     std::vector<ChannelReport> channels;
+    std::optional<Scene> scene{};  ///< that was asked for
 };
 
 }  // namespace brdfit::optim

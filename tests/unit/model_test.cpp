@@ -119,6 +119,21 @@ TEST(Header, OfAWholeModelIsRead) {
     EXPECT_EQ(model.terms[0].factor, 0U);
 }
 
+TEST(BuiltInModels, KnowTheirSimplerForms) {
+    const Family& he = *catalogue().find("he_torrance");
+    const kernels::Submodel* real = he.submodel("real index");
+    ASSERT_NE(real, nullptr);
+    EXPECT_EQ(real->fixed, (std::map<std::string, double>{{"k", 0}}));
+    EXPECT_EQ(&he.variant(1, real), &he.variants[0]) << "the same text";
+    const kernels::Submodel* plain = he.submodel("no effective roughness");
+    ASSERT_NE(plain, nullptr);
+    EXPECT_TRUE(plain->fixed.empty());
+    EXPECT_EQ(he.variant(1, plain).name, "he_torrance_roughness_as_given");
+    EXPECT_EQ(he.submodel("no lobe"), nullptr);
+    EXPECT_EQ(he.texts().size(), 2U);
+    EXPECT_EQ(catalogue().find("lafortune")->texts().size(), 3U);
+}
+
 TEST(Header, MistakesAreRefusedWithTheFileAndTheReason) {
     const struct {
         std::string from, to, reason;
@@ -158,6 +173,15 @@ TEST(Header, MistakesAreRefusedWithTheFileAndTheReason) {
         {"\"traits\"", "\"special_cases\": [{\"name\": \"x\", \"fixed\": {\"k\": -1}}], \"traits\"",
          "fixes k outside its domain"},
         {"\"traits\"", "\"special_cases\": [{\"name\": \"x\", \"fixed\": {}}], \"traits\"", "fixes no parameter"},
+        {"\"traits\"", "\"submodels\": [{\"name\": \"x\"}], \"traits\"", "needs either"},
+        {"\"traits\"", "\"submodels\": [{\"name\": \"x\", \"fixed\": {\"k\": 1}, \"define\": \"x\"}], \"traits\"",
+         "needs either"},
+        {"\"traits\"", "\"submodels\": [{\"name\": \"x\", \"fixed\": {\"k\": -1}}], \"traits\"",
+         "fixes k outside its domain"},
+        {"\"traits\"", "\"submodels\": [{\"name\": \"x\", \"fixed\": {\"q\": 1}}], \"traits\"", "no parameter \"q\""},
+        {"\"traits\"",
+         "\"submodels\": [{\"name\": \"x\", \"define\": \"a\"}, {\"name\": \"x\", \"define\": \"b\"}], \"traits\"",
+         "submodel \"x\" stands twice"},
         {"\"reciprocal\": true", "\"reciprocal\": \"yes\"", "true or false"},
         {"\"traits\"", "\"charts\": [{\"kind\": \"polar\", \"parameters\": [\"k\"]}], \"traits\"", "complex_index"},
         {"\"traits\"", "\"special_cases\": [{\"name\": \"x\", \"fixed\": {\"q\": 1}}], \"traits\"",

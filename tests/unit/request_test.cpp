@@ -232,6 +232,45 @@ TEST(Request, TellsAllMistakesButNoMoreThanFifty) {
     EXPECT_EQ(problem.errors.back().pointer, "/options/y");
 }
 
+TEST(Request, ReadsAScene) {
+    json request = whole();
+    request["scene"] = json::object();
+    EXPECT_EQ(read(request).options.scene, optim::Scene{});
+    request["scene"] = {{"theta_i_deg", {0, 60}},
+                        {"theta_r_deg", {10, 70}},
+                        {"outside_weight", 0.5},
+                        {"tolerance_log10", 0.1},
+                        {"max_ns_per_evaluation", 5}};
+    EXPECT_EQ(read(request).options.scene, (optim::Scene{{0, 60}, {10, 70}, 0.5, 0.1, 5.0}));
+}
+
+TEST(Request, RefusesABadScene) {
+    expect_refused("/scene", {{"theta_i", {0, 60}}}, {"/scene/theta_i unknown_key"});
+    expect_code("/scene", 5, "wrong_type");
+    for (const json& angles : {json{60, 0}, json{-1, 60}, json{0, 91}})
+        expect_refused("/scene", {{"theta_i_deg", angles}}, {"/scene/theta_i_deg out_of_range"});
+    expect_refused("/scene", {{"theta_r_deg", {0}}}, {"/scene/theta_r_deg wrong_type"});
+    for (const double weight : {-0.1, 1.0})
+        expect_refused("/scene", {{"outside_weight", weight}}, {"/scene/outside_weight out_of_range"});
+    for (const double tolerance : {0.0, -1.0, 11.0})
+        expect_refused("/scene", {{"tolerance_log10", tolerance}}, {"/scene/tolerance_log10 out_of_range"});
+    expect_refused("/scene", {{"max_ns_per_evaluation", 0}}, {"/scene/max_ns_per_evaluation out_of_range"});
+    expect_refused("/scene", {{"theta_i_deg", {20, 90}}}, {"/scene empty", "/scene empty"});
+}
+
+TEST(Request, ReadsASimplerFormOfAModel) {
+    json request = whole();
+    request["models"] = {{{"name", "ward"}, {"submodel", "no diffuse term"}}};
+    const kernels::Family* ward = catalogue().find("ward");
+    EXPECT_EQ(read(request).models.front().submodel, ward->submodel("no diffuse term"));
+    expect_refused("/models/0", {{"name", "ward"}, {"submodel", "real index"}}, {"/models/0/submodel unknown_value"});
+    expect_refused("/models/0", {{"name", "lambert"}, {"submodel", "x"}}, {"/models/0/submodel unknown_value"});
+    expect_refused("/models/0", {{"name", "ward"}, {"submodel", "no diffuse term"}, {"fixed", {{"rho_d", 0.1}}}},
+                   {"/models/0/fixed/rho_d contradiction"});
+    expect_refused("/models/0", {{"name", "ward"}, {"submodel", "no diffuse term"}, {"bounds", {{"rho_d", {0, 1}}}}},
+                   {"/models/0/bounds/rho_d contradiction"});
+}
+
 TEST(Request, RefusesWhatIsNotJson) {
     EXPECT_EQ(refusal_of([] { (void)read_fit_request("{", catalogue()); }).status, 400);
 }
@@ -266,6 +305,12 @@ TEST(CsvRequest, EqualsTheSameRequestInJson) {
                   "theta_r_deg": [2, 3, 4], "brdf": [3, 3, 3], "sigma": [1, 1, 1]}]}]}, "models": ["ward"]})")));
 }
 
+TEST(CsvRequest, ReadsAScene) {
+    const FitRequest request = read_fit_request_csv(
+        kCsv, {{"models", "lambert"}, {"scene.theta_r_deg", "2,3"}, {"scene.tolerance_log10", "0.1"}}, catalogue());
+    EXPECT_EQ(request.options.scene, (optim::Scene{{0, 90}, {2, 3}, 0, 0.1, {}}));
+}
+
 TEST(CsvRequest, RefusesTheQuery) {
     const auto errors = [](const Query& query) {
         return errors_of(refusal_of([&] { (void)read_fit_request_csv(kCsv, query, catalogue()); }));
@@ -275,6 +320,8 @@ TEST(CsvRequest, RefusesTheQuery) {
     EXPECT_EQ(errors({{"models", "ward,,wart"}}), (Errors{"/models/1 unknown_model", "/models/2 unknown_model"}));
     EXPECT_EQ(errors({{"unit", "sr"}}), Errors{"/unit unknown_value"});
     EXPECT_EQ(errors({{"seed", "x"}}), Errors{"/options/seed wrong_type"});
+    EXPECT_EQ(errors({{"scene.theta", "1"}}), Errors{"/scene/theta unknown_key"});
+    EXPECT_EQ(errors({{"scene.theta_i_deg", "0,x"}}), Errors{"/scene/theta_i_deg wrong_type"});
     EXPECT_EQ(errors({{"seed", "1e999"}}), Errors{"/options/seed wrong_type"});
     EXPECT_EQ(errors({{"time_limit_s", "nan"}}), Errors{"/options/time_limit_s wrong_type"});
     EXPECT_EQ(errors({{"models", "he_torrance"}}), Errors{"/dataset/channels/0 too_few_samples"});
