@@ -9,6 +9,7 @@
 
 #include "kernels/engine.h"
 #include "optim/dataset.h"
+#include "optim/loss.h"
 
 namespace brdfit::optim {
 
@@ -46,6 +47,12 @@ struct SearchRecord {
     double time_s = 0;
 };
 
+/// Samples that a robust loss has taken most of the weight from: they keep less than a tenth.
+struct Outliers {
+    std::vector<std::size_t> samples;  ///< their places in the channel, rising
+    double fraction = 0;               ///< of the samples that have a weight
+};
+
 /// One model fitted to one channel.
 struct Fit {
     std::size_t rank = 0;  ///< from 1, by loss
@@ -60,6 +67,7 @@ struct Fit {
     std::optional<double> aicc{};        ///< none with too few samples for the correction
     double bic = 0;
     std::vector<ScanError> scans;
+    std::optional<Outliers> outliers{};  ///< of a robust loss
     SearchRecord search;
     std::vector<std::string> warnings;
     /// The model at the reported parameters, times scale: what the plots draw and the errors measure.
@@ -79,7 +87,9 @@ struct Failure {
 };
 
 struct ChannelReport {
-    Channel channel;        ///< the measurements, as fitted
+    Channel channel;  ///< the measurements, as fitted
+    /// Of a robust loss: size of the best model's ordinary residuals, in the loss's unit; the same for all fits.
+    std::optional<double> robust_scale{};
     std::vector<Fit> fits;  ///< best first
     std::vector<Failure> failures;
     std::vector<std::string> warnings;
@@ -88,6 +98,7 @@ struct ChannelReport {
 struct Report {
     std::string dataset;  ///< its name
     Unit unit = Unit::per_steradian;
+    Criterion loss;
     std::uint64_t seed = 0;
     kernels::DeviceInfo device;
     kernels::Precision precision = kernels::Precision::double_precision;
