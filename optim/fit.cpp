@@ -526,7 +526,7 @@ std::vector<std::string> channel_warnings(const Channel& channel) {
 }
 
 ChannelReport rank(const Channel& channel, std::vector<Outcome<Fit>> outcomes) {
-    ChannelReport report{channel, {}, {}, {}, channel_warnings(channel)};
+    ChannelReport report{channel, {}, {}, channel_warnings(channel)};
     for (Outcome<Fit>& outcome : outcomes) {
         if (outcome.result) report.fits.push_back(std::move(*outcome.result));
         else report.failures.push_back(std::move(outcome.failure));
@@ -654,11 +654,11 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
                    std::stop_token stop) {
     Report report{dataset.name,
                   dataset.unit,
-                  options.loss,
                   options.seed,
                   engine_.device(),
                   options.precision.value_or(engine_.best_precision()),
-                  {}};
+                  {},
+                  options.loss};
     if (const auto reason = engine_.refusal(report.precision)) throw kernels::PrecisionError(*reason);
     const SearchControl control{
         options.seed, Clock::now() + std::chrono::duration_cast<Clock::duration>(options.time_limit), std::move(stop)};

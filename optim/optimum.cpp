@@ -256,12 +256,13 @@ struct AllParameters {
     SpaceLoss loss;
 };
 
+/// Searches from the starts, and without an effort from nothing else.
 Optimum search_in_all(const Task& task, const std::vector<Interval>& bounds, double level,
-                      const std::vector<Start>& starts) {
+                      const std::vector<Start>& starts, std::optional<Effort> effort) {
     AllParameters all(task, bounds, level, task.weighted);
     SpaceLoss* const stage = &all.loss;
-    SearchResult found = search_space({&stage, 1}, budget(task.effort, all.space.dimension(), task.model.repeats),
-                                      task.control, all.points(starts));
+    const SearchBudget allowed = effort ? budget(*effort, all.space.dimension(), task.model.repeats) : SearchBudget{};
+    SearchResult found = search_space({&stage, 1}, allowed, task.control, all.points(starts));
     found.best.loss2 /= all.scale2;
     return optimum_at(task, all.space, found.best, found.record);
 }
@@ -286,7 +287,7 @@ struct Separable {
 
 /// Searches under balanced squares. `smaller`: a start, may be nullptr. `ends`: how many are asked for.
 Separable search_separable(const Task& task, const std::vector<Interval>& bounds, const Weighted& squares,
-                           const Start* smaller, std::size_t ends) {
+                           const Start* smaller, std::size_t ends, Effort effort) {
     const double scale2 = scale2_of(squares);
     const SearchSpace space(task.model, bounds, Unknowns::nonlinear, task.scale, 1, Charts::used, &task.directions);
     const kernels::Precision precision = task.precision.value_or(task.engine.best_precision());
@@ -312,7 +313,7 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
     std::vector<std::vector<double>> seeds = special_starts(task, *stages.front());
     if (smaller != nullptr) seeds.push_back(space.coordinates(smaller->parameters, smaller->scale));
     SearchResult found =
-        search_space(stages, budget(task.effort, space.dimension(), task.model.repeats), task.control, seeds);
+        search_space(stages, budget(effort, space.dimension(), task.model.repeats), task.control, seeds);
     found.best.loss2 /= scale2;
     Separable result{optimum_at(task, space, found.best, found.record), {}};
     for (std::size_t i = 0; i < std::min(ends, found.minima.size()); ++i) {
@@ -355,6 +356,9 @@ std::vector<Start> descended(const Task& task, const std::vector<Interval>& boun
     return result;
 }
 
+/// Of searches that others have gone before.
+Effort again(Effort effort) { return effort == Effort::standard ? Effort::draft : effort; }
+
 /// Where coefficients begin to be searched in their logarithm.
 double level_of(const Task& task, const Levels& levels) {
     return 0.1 * (task.weighted.logarithmic ? levels.least : levels.middle);
@@ -367,7 +371,7 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
     std::optional<Start> extension;
     if (smaller != nullptr) extension = extended(task.model, *smaller);
     Separable found = search_separable(task, bounds, squares, extension ? &*extension : nullptr,
-                                       task.weighted.logarithmic ? kPolished : 0);
+                                       task.weighted.logarithmic ? kPolished : 0, task.effort);
     if (!task.weighted.logarithmic)
         return finished(task, bounds, squares, Unknowns::nonlinear, 1, scale2_of(squares), std::move(found.optimum));
 
@@ -377,7 +381,7 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
     const Levels levels = levels_of(task);
     add_lit(task, bounds, levels, starts);
     const double level = level_of(task, levels);
-    Optimum optimum = search_in_all(task, bounds, level, starts);
+    Optimum optimum = search_in_all(task, bounds, level, starts, task.effort);
     optimum.record.evaluations += found.optimum.record.evaluations;
     return finished(task, bounds, task.weighted, Unknowns::all, level, 1, std::move(optimum));
 }
@@ -392,13 +396,14 @@ Groundwork lay_groundwork(const Task& task, const std::vector<Interval>& bounds,
     std::optional<Start> extension;
     if (smaller != nullptr) extension = extended(task.model, *smaller_model, *smaller);
     Groundwork work;
-    const auto search = [&](const Weighted& of) {
-        Separable found = search_separable(task, bounds, balanced(of), extension ? &*extension : nullptr, kPolished);
+    const auto search = [&](const Weighted& of, Effort effort) {
+        Separable found =
+            search_separable(task, bounds, balanced(of), extension ? &*extension : nullptr, kPolished, effort);
         work.evaluations += found.optimum.record.evaluations;
         work.starts.insert(work.starts.end(), found.starts.begin(), found.starts.end());
     };
     if (extension) work.starts.push_back(*extension);
-    search(squares);
+    search(squares, task.effort);
     if (task.weighted.logarithmic) add_lit(task, bounds, levels, work.starts);
     work.scale = HUGE_VAL;
     std::vector<double> best;
@@ -415,7 +420,7 @@ Groundwork lay_groundwork(const Task& task, const std::vector<Interval>& bounds,
     form.threshold = cauchy.threshold();
     for (int round = 0; round < kReweightings && !task.control.over(); ++round) {
         form.scale = work.scale;
-        search(reweighted(squares, form, best));
+        search(reweighted(squares, form, best), again(task.effort));
         work.starts = descended(task, bounds, level, form, work.starts, work.evaluations);
         best = residuals_at(task, work.starts.front()).r;
         const double next = robust_scale(task.weighted, best, free);
@@ -433,14 +438,17 @@ Optimum find_robust_optimum(const Task& task, const std::vector<Interval>& bound
     std::vector<Start> starts = groundwork.starts;
     std::optional<Start> extension;
     if (smaller != nullptr) starts.push_back(extension.emplace(extended(task.model, *smaller)));
-    Optimum optimum = search_in_all(task, bounds, level, starts);
+    std::optional<Effort> effort = again(task.effort);
+    if (squares.y.size() > kThinAbove) effort.reset();  // nothing here is thinned, and the starts are good
+    Optimum optimum = search_in_all(task, bounds, level, starts, effort);
     std::size_t evaluations = groundwork.evaluations;
     const double scale2 = scale2_of(task.weighted);
     // The squares that touch the loss at the best fit so far may lead to a better one.
     for (int round = 0; round < kReweightings && !task.control.over(); ++round) {
         const Start here{optimum.parameters, optimum.scale};
         const Weighted touching = balanced(reweighted(squares, task.weighted, residuals_at(task, here).r));
-        Separable found = search_separable(task, bounds, touching, extension ? &*extension : nullptr, kPolished);
+        Separable found =
+            search_separable(task, bounds, touching, extension ? &*extension : nullptr, kPolished, again(task.effort));
         evaluations += found.optimum.record.evaluations;
         const Start best = descended(task, bounds, level, task.weighted, found.starts, evaluations).front();
         const double relative_loss2 = residuals_at(task, best).loss2 / scale2;

@@ -87,22 +87,22 @@ struct Failure {
 };
 
 struct ChannelReport {
-    Channel channel;  ///< the measurements, as fitted
-    /// Of a robust loss: size of the best model's ordinary residuals, in the loss's unit; the same for all fits.
-    std::optional<double> robust_scale{};
+    Channel channel;        ///< the measurements, as fitted
     std::vector<Fit> fits;  ///< best first
     std::vector<Failure> failures;
     std::vector<std::string> warnings;
+    /// Of a robust loss: size of the best model's ordinary residuals, in the loss's unit; the same for all fits.
+    std::optional<double> robust_scale{};
 };
 
 struct Report {
     std::string dataset;  ///< its name
     Unit unit = Unit::per_steradian;
-    Criterion loss;
     std::uint64_t seed = 0;
     kernels::DeviceInfo device;
     kernels::Precision precision = kernels::Precision::double_precision;
     std::vector<ChannelReport> channels;
+    Criterion loss{};
 };
 
 }  // namespace brdfit::optim

@@ -239,8 +239,7 @@ void SpaceLoss::evaluate(std::span<const std::vector<double>> points, bool gradi
         upper_.insert(upper_.end(), at.upper.begin(), at.upper.end());
     }
     if (space_.unknowns() == Unknowns::nonlinear) evaluator_.project(parameters_, lower_, upper_, gradient, batch_);
-    else if (form_ != nullptr && form_->robust != Robust::none)
-        robust_loss(evaluator_, *form_, parameters_, lower_, batch_);
+    else if (robust()) robust_loss(evaluator_, *form_, parameters_, lower_, batch_);
     else evaluator_.loss(parameters_, lower_, logarithmic(), batch_);
     evaluations_ += points.size();
 }
@@ -387,7 +386,8 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
         ends.clear();
         descend_from(*stage, from);
     }
-    if (space.unknowns() == Unknowns::all && !control.over()) {  // not of squares that are small: NLopt may know better
+    // Not of squares that are small: NLopt may know better. Those that touch a robust loss know its slope.
+    if (space.unknowns() == Unknowns::all && !exact.robust() && !control.over()) {
         const Objective objective = [&](std::span<const double> u, std::span<double> g) { return exact(u, g); };
         for (const Minimum& end : std::vector<Minimum>(ends))
             ends.push_back(descend(objective, end.u, kFurtherEvaluations, 1e-13, control));
