@@ -47,6 +47,11 @@ inline constexpr std::array<Named<optim::StopReason>, 5> kStopReasons{{
     {optim::StopReason::roundoff, "roundoff", "round-off stopped progress; the point is usable"},
     {optim::StopReason::cancelled, "cancelled", "the request was withdrawn"},
 }};
+inline constexpr std::array<Named<optim::Robust>, 3> kRobusts{{
+    {optim::Robust::none, "none", "squares"},
+    {optim::Robust::huber, "huber", "squares up to robust_threshold, straight lines beyond"},
+    {optim::Robust::cauchy, "cauchy", "logarithms beyond robust_threshold: a far outlier hardly counts"},
+}};
 inline constexpr const auto& kLosses = optim::kLossNames;
 
 /// The value that an entry of a table names.

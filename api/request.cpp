@@ -3,6 +3,7 @@
 #include <charconv>
 #include <set>
 
+#include <fmt/format.h>
 #include <boost/algorithm/string/split.hpp>
 
 #include "api/csv.h"
@@ -44,10 +45,42 @@ void read_time_limit(const json& value, const Place& place, FitOptions& out) {
     else out.time_limit = std::chrono::duration<double>(*number);
 }
 
+std::optional<std::string> bad_exponent(double value) {
+    if (std::abs(value) <= optim::kSteepestCosine) return std::nullopt;
+    return fmt::format("must lie in [-{0:g}, {0:g}]", optim::kSteepestCosine);
+}
+
+std::optional<std::string> bad_threshold(double value) {
+    if (value >= optim::kLeastThreshold && value <= optim::kMostThreshold) return std::nullopt;
+    return fmt::format("must lie in [{:g}, {:g}]", optim::kLeastThreshold, optim::kMostThreshold);
+}
+
+/// Keys that check_together names as well.
+constexpr std::string_view kLossKey = "loss";
+constexpr std::string_view kExponentIKey = "cos_theta_i_exponent";
+constexpr std::string_view kExponentRKey = "cos_theta_r_exponent";
+constexpr std::string_view kThresholdKey = "robust_threshold";
+
 const std::vector<Field<FitOptions>> kOptionFields{
-    {"loss", false, "what is minimised",
+    {kLossKey, false, "what is minimised",
      [](const json& v, const Place& p, FitOptions& out) {
-         if (const auto loss = read_choice(v, p, kLosses)) out.loss = *loss;
+         if (const auto loss = read_choice(v, p, kLosses)) out.loss.kind = *loss;
+     }},
+    {kExponentIKey, false, "of the loss cosine: a in cos(theta_i)^a; 0 if absent",
+     [](const json& v, const Place& p, FitOptions& out) {
+         out.loss.cos_theta_i_exponent = read_checked(v, p, bad_exponent);
+     }},
+    {kExponentRKey, false, "of the loss cosine: b in cos(theta_r)^b; 1 if absent",
+     [](const json& v, const Place& p, FitOptions& out) {
+         out.loss.cos_theta_r_exponent = read_checked(v, p, bad_exponent);
+     }},
+    {"robust", false, "what takes the place of the loss's squares, against outliers",
+     [](const json& v, const Place& p, FitOptions& out) {
+         if (const auto robust = read_choice(v, p, kRobusts)) out.loss.robust = *robust;
+     }},
+    {kThresholdKey, false, "of a robust loss, in robust standard deviations; 1.345 for huber, 2.385 for cauchy",
+     [](const json& v, const Place& p, FitOptions& out) {
+         out.loss.robust_threshold = read_checked(v, p, bad_threshold);
      }},
     {"effort", false, "how much the search may spend",
      [](const json& v, const Place& p, FitOptions& out) {
@@ -348,8 +381,33 @@ const std::vector<Field<Dataset>> kDatasetFields{
 
 // ---- the whole ----
 
+/// Parts of the loss that do not go together, or not with the measured angles.
+void check_loss(const FitRequest& request, const Place& options) {
+    const optim::Criterion& loss = request.options.loss;
+    const auto check_exponent = [&](std::string_view key, const std::optional<double>& exponent,
+                                    double kernels::Direction::*angle) {
+        if (!exponent) return;
+        if (loss.kind != optim::Loss::cosine)
+            options.at(key).fail("contradiction", "exponents belong to the loss cosine alone");
+        else if (*exponent < 0)
+            for (const Channel& channel : request.dataset.channels)
+                if (std::any_of(channel.samples.begin(), channel.samples.end(), [&](const Sample& sample) {
+                        return std::abs(sample.direction.*angle) > optim::kGrazing_deg;
+                    }))
+                    return options.at(key).fail(
+                        "out_of_range", fmt::format("must not be negative beside samples above {:g} degrees, which "
+                                                    "would outweigh all others; channel {} has such",
+                                                    optim::kGrazing_deg, channel.name));
+    };
+    check_exponent(kExponentIKey, loss.cos_theta_i_exponent, &kernels::Direction::theta_i_deg);
+    check_exponent(kExponentRKey, loss.cos_theta_r_exponent, &kernels::Direction::theta_r_deg);
+    if (loss.robust_threshold && loss.robust == optim::Robust::none)
+        options.at(kThresholdKey).fail("contradiction", "belongs to robust losses alone: give robust as well");
+}
+
 /// What the fields cannot say one by one: enough samples, bounds within domains, sigma for chi2.
 void check_together(const FitRequest& request, bool models_given, const Place& place) {
+    check_loss(request, place.at("options"));
     for (std::size_t c = 0; c < request.dataset.channels.size(); ++c) {
         const Channel& whole = request.dataset.channels[c];
         const Place channel_place = place.at("dataset").at("channels").at(c);
@@ -364,10 +422,10 @@ void check_together(const FitRequest& request, bool models_given, const Place& p
             place.at("scene").fail("empty", "no sample of channel " + channel.name + " lies within");
             continue;
         }
-        if (request.options.loss == optim::Loss::chi2 &&
+        if (request.options.loss.kind == optim::Loss::chi2 &&
             !std::all_of(channel.samples.begin(), channel.samples.end(), [](const Sample& s) { return s.sigma; }))
-            place.at("options").at("loss").fail("needs_sigma",
-                                                "chi2 needs sigma at every sample of channel " + channel.name);
+            place.at("options").at(kLossKey).fail("needs_sigma",
+                                                  "chi2 needs sigma at every sample of channel " + channel.name);
         bool possible = false;
         for (std::size_t m = 0; m < request.models.size(); ++m) {
             const ModelRequest& model = request.models[m];

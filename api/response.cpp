@@ -1,5 +1,6 @@
 #include "api/response.h"
 
+#include <algorithm>
 #include <cmath>
 
 #include <nlohmann/json.hpp>
@@ -39,6 +40,29 @@ Json parameter_json(const optim::FittedParameter& p) {
     return json;
 }
 
+/// As many are told one by one.
+constexpr std::size_t kToldOutliers = 100;
+
+Json outliers_json(const optim::Outliers& outliers) {
+    Json samples = Json::array();
+    for (std::size_t i = 0; i < std::min(kToldOutliers, outliers.samples.size()); ++i)
+        samples.push_back(outliers.samples[i]);
+    return {{"count", outliers.samples.size()}, {"fraction", number(outliers.fraction)}, {"samples", samples}};
+}
+
+Json loss_json(const optim::Criterion& loss, const std::optional<double>& robust_scale) {
+    Json json{{"name", name_of(kLosses, loss.kind)}};
+    if (loss.kind == optim::Loss::cosine) {
+        json["cos_theta_i_exponent"] = loss.cos_theta_i_power();
+        json["cos_theta_r_exponent"] = loss.cos_theta_r_power();
+    }
+    json["robust"] = name_of(kRobusts, loss.robust);
+    if (loss.robust == optim::Robust::none) return json;
+    json["robust_threshold"] = loss.threshold();
+    json["robust_scale"] = number(robust_scale);
+    return json;
+}
+
 Json fit_json(const optim::Fit& fit, const std::string& plot_link) {
     Json json{{"rank", fit.rank}, {"model", fit.model}};
     if (fit.lobes > 0) json["lobes"] = fit.lobes;
@@ -56,6 +80,7 @@ Json fit_json(const optim::Fit& fit, const std::string& plot_link) {
     for (const optim::ScanError& scan : fit.scans)
         json["scans"].push_back(
             {{"theta_i_deg", scan.theta_i_deg}, {"rmse", number(scan.rmse)}, {"log10_rmse", number(scan.log10_rmse)}});
+    if (fit.outliers) json["outliers"] = outliers_json(*fit.outliers);
     json["search"] = {{"starts", fit.search.starts},
                       {"agreed", fit.search.agreed},
                       {"evaluations", fit.search.evaluations},
@@ -101,10 +126,12 @@ Json scene_json(const optim::Scene& scene) {
     return json;
 }
 
-Json channel_json(const optim::ChannelReport& channel, const std::string& plots, bool one_of_many) {
+Json channel_json(const optim::ChannelReport& channel, const optim::Criterion& loss, const std::string& plots,
+                  bool one_of_many) {
     Json json{{"name", channel.channel.name}};
     if (channel.channel.wavelength_nm) json["wavelength_nm"] = *channel.channel.wavelength_nm;
     json["samples"] = channel.channel.samples.size();
+    json["loss"] = loss_json(loss, channel.robust_scale);
     const std::string which = one_of_many ? "&channel=" + url_encoded(channel.channel.name) : "";
     json["fits"] = Json::array();
     for (const optim::Fit& fit : channel.fits)
@@ -204,7 +231,7 @@ std::string to_json(const optim::Report& report, const std::string& id) {
     bool any = false;
     Json channels = Json::array();
     for (const optim::ChannelReport& channel : report.channels) {
-        channels.push_back(channel_json(channel, plots, report.channels.size() > 1));
+        channels.push_back(channel_json(channel, report.loss, plots, report.channels.size() > 1));
         any = any || !channel.fits.empty();
     }
     Json device = device_json(report.device);

@@ -12,6 +12,8 @@
 #include <utility>
 #include <vector>
 
+#include "kernels/precision.h"
+
 namespace brdfit::kernels {
 
 /// How a parameter is spaced for a search: evenly, or evenly in its logarithm.
@@ -93,6 +95,8 @@ struct Model {
     [[nodiscard]] bool sums_series() const;
     /// Whether searches begin in the quickest precision: with one unknown there is nothing to gain.
     [[nodiscard]] bool begins_quickly() const { return nonlinear().size() > 1; }
+    /// The accuracy with which such searches begin.
+    [[nodiscard]] Accuracy first_accuracy() const { return sums_series() ? Accuracy::search : Accuracy::full; }
     /// Number of values in the kernel's Terms: each term and its slopes.
     [[nodiscard]] std::size_t term_values() const;
     /// For each term the parameter values' product: c_t, given all parameters in `unit`.

@@ -17,6 +17,7 @@
 #include "kernels/evaluator.h"
 #include "optim/broker.h"
 #include "optim/optimum.h"
+#include "optim/robust.h"
 #include "optim/statistics.h"
 
 namespace brdfit::optim {
@@ -31,6 +32,8 @@ constexpr double kSmallestData = 1e-100;
 constexpr double kUnseen = 1e-12;
 /// A search's loss that its reported parameters miss by this part was found beyond their digits.
 constexpr double kReproduced = 1e-6;
+/// More outliers than this part of the samples are worth a warning.
+constexpr double kManyOutliers = 0.1;
 /// A further lobe is reported only if the BIC falls by this much: "very strong" evidence (Kass and Raftery 1995).
 constexpr double kEvidence = 10;
 
@@ -219,7 +222,7 @@ void add_parameters(const Work& work, kernels::Precision precision, const Weight
     const Model& model = *optimum.model;
     const std::size_t n = values.f.size();
 
-    const Residuals at = residuals(weighted, fit.values);
+    const PseudoValues seen = pseudo_values(weighted, residuals(weighted, fit.values));
     std::vector<std::size_t> free;
     std::vector<std::vector<double>> jacobian;
     const auto undetermined = [&](const std::string& name) {
@@ -248,7 +251,7 @@ void add_parameters(const Work& work, kernels::Precision precision, const Weight
         const double reach = declared.scale == kernels::Scale::logarithmic
                                  ? std::abs(value)
                                  : std::max(declared.max - declared.min, std::abs(value));
-        if (!(effect(weighted, at, row) * reach > kUnseen * std::max(weighted.norm, fit.loss))) {
+        if (!(effect(seen.weighted, seen.residuals, row) * reach > kUnseen * std::max(weighted.norm, fit.loss))) {
             undetermined(declared.name);
             continue;
         }
@@ -256,7 +259,7 @@ void add_parameters(const Work& work, kernels::Precision precision, const Weight
         jacobian.push_back(std::move(row));
     }
     if (work.unit == Unit::relative && knows_scale(model)) jacobian.push_back(values.f);
-    const auto errors = standard_errors(weighted, at, jacobian);
+    const auto errors = standard_errors(seen.weighted, seen.residuals, jacobian);
     const bool too_few = weighted.used <= jacobian.size();
     std::string without;
     for (std::size_t i = 0; i < free.size(); ++i) {
@@ -314,12 +317,28 @@ Prepared prepare(const Work& work, const Model& model) {
     return prepared;
 }
 
-/// Everything the report says of an optimum.
-Fit describe(const Work& work, const Prepared& prepared, Optimum optimum) {
+/// The unit of a loss's residuals in which prepared data are measured.
+double residual_unit(const Work& work, const Prepared& prepared) {
+    return has_unit(work.options.loss.kind) ? prepared.unit : 1.0;
+}
+
+void add_outliers(const Weighted& weighted, Fit& fit) {
+    Outliers found{outliers(weighted, residuals(weighted, fit.values).r), 0};
+    if (weighted.used > 0)
+        found.fraction = static_cast<double>(found.samples.size()) / static_cast<double>(weighted.used);
+    if (found.fraction > kManyOutliers)
+        fit.warnings.push_back(
+            fmt::format("{} of {} samples are taken as outliers: the model may not follow a part of the surface",
+                        found.samples.size(), weighted.used));
+    fit.outliers = std::move(found);
+}
+
+/// Everything the report says of an optimum. robust_scale: the channel's, of a robust loss.
+Fit describe(const Work& work, const Prepared& prepared, Optimum optimum, double robust_scale) {
     order_lobes(work, optimum);
     optimum.scale *= prepared.unit;
     const kernels::Precision precision = work.engine.best_precision();
-    const Weighted weighted = weigh(work.channel, work.options.loss);
+    const Weighted weighted = weigh(work.channel, work.options.loss, robust_scale);
     Fit fit;
     fit.model = work.request.family->name;
     fit.lobes = optimum.model->repeats;
@@ -335,6 +354,7 @@ Fit describe(const Work& work, const Prepared& prepared, Optimum optimum) {
     if (work.unit == Unit::relative && knows_scale(*optimum.model)) ++free;
     describe_errors(work.channel, weighted, free, fit);
     add_parameters(work, precision, weighted, optimum, prepared.bounds, values, fit);
+    if (weighted.robust != Robust::none) add_outliers(weighted, fit);
     add_curves(work, precision, optimum, fit);
     fit.search = optimum.record;
     const double found =
@@ -358,43 +378,100 @@ StopReason stop_of(const SearchControl& control) {
     return control.stop.stop_requested() ? StopReason::cancelled : StopReason::time_limit;
 }
 
-/// Fits the request's variants from the fewest lobes up, each from the one before, and returns the last; with "auto",
-/// the last for which there is strong evidence.
-Fit fit_model(const Work& work) {
-    const auto start = Clock::now();
-    const kernels::Family& family = *work.request.family;
-    const bool automatic = family.repeat && !work.request.lobes;
-    if (const double rms = data_rms(work.channel); rms > 0 && rms < kSmallestData)
+/// A variant of a model as its search sees it.
+struct Variant {
+    const Model& model;
+    Prepared prepared;
+    Weighted weighted;  ///< the squares
+    std::size_t free;
+
+    Variant(const Work& work, std::size_t lobes)
+        : model(work.request.variant(lobes)),
+          prepared(prepare(work, model)),
+          weighted(weigh(prepared.channel, work.options.loss)),
+          free(free_parameters(prepared.bounds)) {
+        if (!std::isfinite(weighted.norm))
+            throw SearchError("the weights of this loss overflow: a value or a sigma is too small beside the others");
+    }
+
+    [[nodiscard]] bool possible() const { return weighted.used >= free; }
+    void require_possible() const {
+        if (!possible())
+            throw SearchError("too few samples: " + std::to_string(weighted.used) + " usable ones for " +
+                              std::to_string(free) + " free parameters");
+    }
+    [[nodiscard]] Task task(const Work& work) const {
+        return {work.engine,
+                model,
+                prepared.channel,
+                work.directions.samples,
+                weighted,
+                work.options.precision,
+                work.options.effort,
+                work.control,
+                prepared.scale};
+    }
+};
+
+std::size_t least_lobes(const kernels::Family& family) { return family.repeat ? family.repeat->min : 1; }
+
+void refuse_tiny(const Channel& channel) {
+    if (const double rms = data_rms(channel); rms > 0 && rms < kSmallestData)
         throw SearchError("the BRDF values are too small, below 1e-100, where squares vanish: use another unit");
+}
+
+/// What robust fits of one (channel, model) begin with.
+struct Beginning {
+    std::vector<Groundwork> variants;  ///< from the fewest lobes up
+    double scale = HUGE_VAL;           ///< the least of theirs, in the loss's unit
+    double time_s = 0;
+};
+
+Beginning begin_robustly(const Work& work) {
+    const auto start = Clock::now();
+    refuse_tiny(work.channel);
+    Beginning beginning;
+    const Model* smaller = nullptr;
+    for (std::size_t lobes = least_lobes(*work.request.family); lobes <= work.request.most_lobes(); ++lobes) {
+        const Variant variant(work, lobes);
+        if (!beginning.variants.empty() && !variant.possible()) break;
+        variant.require_possible();
+        const Start* before = smaller != nullptr ? &beginning.variants.back().starts.front() : nullptr;
+        beginning.variants.push_back(lay_groundwork(variant.task(work), variant.prepared.bounds, before, smaller));
+        smaller = &variant.model;
+        beginning.scale = std::min(beginning.scale, scale_in_loss(variant.prepared.channel, work.options.loss,
+                                                                  beginning.variants.back().scale) *
+                                                        residual_unit(work, variant.prepared));
+    }
+    beginning.time_s = std::chrono::duration<double>(Clock::now() - start).count();
+    return beginning;
+}
+
+/// Fits the request's variants from the fewest lobes up, each from the one before, and returns the last; with "auto",
+/// the last for which there is strong evidence. With a robust loss, from its beginning and under the channel's scale.
+Fit fit_model(const Work& work, const Beginning* beginning, double robust_scale) {
+    const auto start = Clock::now();
+    const bool automatic = work.request.family->repeat && !work.request.lobes;
+    refuse_tiny(work.channel);
     std::optional<Optimum> smaller;
     std::optional<Fit> fit;
     std::size_t evaluations = 0;
-    for (std::size_t lobes = family.repeat ? family.repeat->min : 1; lobes <= work.request.most_lobes(); ++lobes) {
-        const Model& model = work.request.variant(lobes);
-        const Prepared prepared = prepare(work, model);
-        const Weighted weighted = weigh(prepared.channel, work.options.loss);
-        const std::size_t free = free_parameters(prepared.bounds);
-        if (!std::isfinite(weighted.norm))
-            throw SearchError("the weights of this loss overflow: a value or a sigma is too small beside the others");
-        if (weighted.used < free) {
-            if (automatic && fit) break;
-            throw SearchError("too few samples: " + std::to_string(weighted.used) + " usable ones for " +
-                              std::to_string(free) + " free parameters");
-        }
-        const Task task{work.engine,
-                        model,
-                        prepared.channel,
-                        work.directions.samples,
-                        weighted,
-                        work.options.precision,
-                        work.options.effort,
-                        work.control,
-                        prepared.scale};
-        Optimum optimum = find_optimum(task, prepared.bounds, smaller ? &*smaller : nullptr);
+    const std::size_t least = least_lobes(*work.request.family);
+    for (std::size_t lobes = least; lobes <= work.request.most_lobes(); ++lobes) {
+        Variant variant(work, lobes);
+        if (automatic && fit && !variant.possible()) break;
+        variant.require_possible();
+        const Optimum* before = smaller ? &*smaller : nullptr;
+        const Prepared& prepared = variant.prepared;
+        if (beginning != nullptr)
+            variant.weighted = weigh(prepared.channel, work.options.loss, robust_scale / residual_unit(work, prepared));
+        Optimum optimum = beginning != nullptr ? find_robust_optimum(variant.task(work), prepared.bounds, before,
+                                                                     beginning->variants.at(lobes - least))
+                                               : find_optimum(variant.task(work), prepared.bounds, before);
         evaluations = optimum.record.evaluations += evaluations;
         const bool last = lobes == work.request.most_lobes();
         if (automatic || last) {
-            Fit next = describe(work, prepared, optimum);
+            Fit next = describe(work, prepared, optimum, robust_scale);
             if (automatic && fit && !(next.bic < fit->bic - kEvidence)) break;
             fit = std::move(next);
         }
@@ -406,6 +483,7 @@ Fit fit_model(const Work& work) {
     }
     fit->search.evaluations = evaluations;
     fit->search.time_s = std::chrono::duration<double>(Clock::now() - start).count();
+    if (beginning != nullptr) fit->search.time_s += beginning->time_s;
     return std::move(*fit);
 }
 
@@ -416,22 +494,24 @@ Broker::Limits broker_limits(const kernels::DeviceInfo& device) {
     return {std::clamp<std::size_t>(kTasksOfUnit * device.compute_units, 16, 256)};
 }
 
-/// A fit, or why there is none.
+/// What a task has made, or why there is nothing.
+template <class Result>
 struct Outcome {
-    std::optional<Fit> fit;
+    std::optional<Result> result;
     Failure failure;
     bool dropped = false;  ///< another says the same
 };
 
-Outcome try_fit(const Work& work) {
-    const auto failed = [&](std::string reason, const std::exception& error) {
+template <class Job>
+auto attempt(const Work& work, const Job& job) -> Outcome<decltype(job())> {
+    const auto failed = [&](std::string reason, const std::exception& error) -> Outcome<decltype(job())> {
         const kernels::Submodel* submodel = work.request.submodel;
-        return Outcome{
+        return {
             std::nullopt,
             {work.request.family->name, std::move(reason), error.what(), submodel != nullptr ? submodel->name : ""}};
     };
     try {
-        return {fit_model(work), {}};
+        return {job(), {}};
     } catch (const SearchError& error) {
         return failed(error.what(), error);
     } catch (const kernels::BuildError& error) {
@@ -484,20 +564,21 @@ std::vector<Form> with_simpler_forms(const std::vector<ModelRequest>& models) {
     return forms;
 }
 
-/// Drops forms that turned out to be the same: "auto" had found that fewer lobes are enough.
-void drop_repeated(const std::vector<Form>& forms, std::vector<Outcome>& outcomes) {
+/// Drops fits of forms that turned out to be the same: "auto" had found that fewer lobes are enough.
+std::vector<Outcome<Fit>> distinct(const std::vector<Form>& forms, std::vector<Outcome<Fit>> outcomes) {
     std::set<std::tuple<std::size_t, std::size_t, std::string>> seen;
-    for (std::size_t i = 0; i < outcomes.size(); ++i)
-        if (std::optional<Fit>& fit = outcomes[i].fit;
-            fit && !seen.emplace(forms[i].of, fit->lobes, fit->submodel).second)
-            outcomes[i].dropped = true;
+    std::vector<Outcome<Fit>> kept;
+    for (std::size_t i = 0; i < outcomes.size(); ++i) {
+        const std::optional<Fit>& fit = outcomes[i].result;
+        if (!fit || seen.emplace(forms[i].of, fit->lobes, fit->submodel).second) kept.push_back(std::move(outcomes[i]));
+    }
+    return kept;
 }
 
-ChannelReport rank(const Channel& channel, std::vector<Outcome> outcomes) {
+ChannelReport rank(const Channel& channel, std::vector<Outcome<Fit>> outcomes) {
     ChannelReport report{channel, {}, {}, channel_warnings(channel)};
-    for (Outcome& outcome : outcomes) {
-        if (outcome.dropped) continue;
-        if (outcome.fit) report.fits.push_back(std::move(*outcome.fit));
+    for (Outcome<Fit>& outcome : outcomes) {
+        if (outcome.result) report.fits.push_back(std::move(*outcome.result));
         else report.failures.push_back(std::move(outcome.failure));
     }
     std::stable_sort(report.fits.begin(), report.fits.end(),
@@ -564,9 +645,30 @@ struct Fitter::Workers {
         else pool = std::make_unique<boost::asio::thread_pool>(std::max(threads, 1U));
     }
 
-    void post(std::packaged_task<Outcome()> task, std::size_t samples) {
-        if (broker) broker->post(std::packaged_task<void()>(std::move(task)), samples);
+    void post(std::packaged_task<void()> task, std::size_t samples) {
+        if (broker) broker->post(std::move(task), samples);
         else boost::asio::post(*pool, std::move(task));
+    }
+
+    /// Outcomes of job(i) for each work, in their order; waits for all of them.
+    template <class Job>
+    auto run(const std::vector<Work>& works, const Job& job) {
+        using Result = Outcome<decltype(job(std::size_t{}))>;
+        std::vector<std::packaged_task<Result()>> tasks;
+        std::vector<std::future<Result>> futures;
+        for (std::size_t i = 0; i < works.size(); ++i) {
+            tasks.emplace_back([&works, &job, i] { return attempt(works[i], [&job, i] { return job(i); }); });
+            futures.push_back(tasks.back().get_future());
+        }
+        // The longest first, so that no thread is left with one at the end.
+        for (const bool longest : {true, false})
+            for (std::size_t i = 0; i < tasks.size(); ++i)
+                if (works[i].request.family->variants.front().sums_series() == longest)
+                    post(std::packaged_task<void()>(std::move(tasks[i])), works[i].channel.samples.size());
+        for (auto& future : futures) future.wait();  // tasks refer to this call's arguments
+        std::vector<Result> outcomes;
+        for (auto& future : futures) outcomes.push_back(future.get());
+        return outcomes;
     }
 
     std::unique_ptr<boost::asio::thread_pool> pool;
@@ -614,8 +716,7 @@ void Fitter::warm_up(const Model& model) {
         (void)evaluator.terms(parameters);
     };
     run(engine_.best_precision(), kernels::Accuracy::full);
-    if (model.begins_quickly())
-        run(engine_.quickest_precision(), model.sums_series() ? kernels::Accuracy::search : kernels::Accuracy::full);
+    if (model.begins_quickly()) run(engine_.quickest_precision(), model.first_accuracy());
 }
 
 Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& models, const FitOptions& options,
@@ -626,6 +727,7 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
                   engine_.device(),
                   options.precision.value_or(engine_.best_precision()),
                   {},
+                  options.loss,
                   options.scene};
     if (const auto reason = engine_.refusal(report.precision)) throw kernels::PrecisionError(*reason);
     const SearchControl control{
@@ -645,30 +747,37 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
     for (const Form& form : forms) warm_up(form.model);
 
     std::list<Directions> directions;
-    std::vector<std::packaged_task<Outcome()>> tasks;  // channels x models
-    std::vector<std::future<Outcome>> futures;
+    std::vector<Work> works;  // channels x forms
     for (const Channel& channel : channels) {
         if (directions.empty() || !same_directions(channel, directions.back().samples))
             directions.emplace_back(channel);
-        for (const Form& form : forms) {
-            const Work work{engine_, channel, directions.back(), dataset.unit, form.model, options, control};
-            tasks.emplace_back([work] { return try_fit(work); });
-            futures.push_back(tasks.back().get_future());
-        }
+        for (const Form& form : forms)
+            works.push_back({engine_, channel, directions.back(), dataset.unit, form.model, options, control});
     }
-    // The longest first, so that no thread is left with one at the end.
-    for (const bool longest : {true, false})
-        for (std::size_t i = 0; i < tasks.size(); ++i)
-            if (forms[i % forms.size()].model.family->variants.front().sums_series() == longest)
-                workers_->post(std::move(tasks[i]), channels[i / forms.size()].samples.size());
-    for (auto& future : futures) future.wait();  // tasks refer to this call's arguments
-    auto future = futures.begin();
-    for (const Channel& channel : channels) {
-        std::vector<Outcome> outcomes;
-        for (std::size_t i = 0; i < forms.size(); ++i) outcomes.push_back((future++)->get());
-        drop_repeated(forms, outcomes);
-        report.channels.push_back(rank(channel, std::move(outcomes)));
+    const bool robust = options.loss.robust != Robust::none;
+    std::vector<Outcome<Beginning>> beginnings;
+    std::vector<double> scales(channels.size(), HUGE_VAL);  // each common to the channel's models
+    if (robust) {
+        beginnings = workers_->run(works, [&](std::size_t i) { return begin_robustly(works[i]); });
+        for (std::size_t i = 0; i < works.size(); ++i)
+            if (beginnings[i].result)
+                scales[i / forms.size()] = std::min(scales[i / forms.size()], beginnings[i].result->scale);
+    }
+    std::vector<Outcome<Fit>> outcomes = workers_->run(works, [&](std::size_t i) {
+        if (!robust) return fit_model(works[i], nullptr, 0);
+        if (!beginnings[i].result) throw SearchError(beginnings[i].failure.reason);
+        return fit_model(works[i], &*beginnings[i].result, scales[i / forms.size()]);
+    });
+    for (std::size_t i = 0; i < beginnings.size(); ++i)
+        if (!beginnings[i].result) outcomes[i].failure = beginnings[i].failure;
+    auto next = outcomes.begin();
+    for (std::size_t c = 0; c < channels.size(); ++c) {
+        const auto end = next + static_cast<std::ptrdiff_t>(forms.size());
+        report.channels.push_back(
+            rank(channels[c], distinct(forms, {std::make_move_iterator(next), std::make_move_iterator(end)})));
         if (options.judge) judge_scene(options.scene.value_or(Scene{}), report.channels.back());
+        if (std::isfinite(scales[c])) report.channels.back().robust_scale = scales[c];
+        next = end;
     }
     return report;
 }

@@ -40,7 +40,7 @@ struct ModelRequest {
 };
 
 struct FitOptions {
-    Loss loss = Loss::cosine_l2;
+    Criterion loss;
     Effort effort = Effort::standard;
     std::optional<kernels::Precision> precision{};  ///< none: the best that may be used
     std::uint64_t seed = 1;

@@ -13,12 +13,19 @@ struct Share {
     double denominator = 0;
 };
 
-Share share_of_equals(const Sample& sample, Loss loss) {
+double cosine(double degrees) { return std::cos(degrees * std::numbers::pi / 180); }
+
+Share share_of_equals(const Sample& sample, const Criterion& criterion) {
     const double y = sample.brdf;
-    switch (loss) {
+    switch (criterion.kind) {
         case Loss::cosine_l2: {
-            const double c = std::cos(sample.direction.theta_r_deg * std::numbers::pi / 180);
+            const double c = cosine(sample.direction.theta_r_deg);
             return {c, c};
+        }
+        case Loss::cosine: {
+            const double w = std::pow(cosine(sample.direction.theta_i_deg), criterion.cos_theta_i_power()) *
+                             std::pow(cosine(sample.direction.theta_r_deg), criterion.cos_theta_r_power());
+            return {w, w};
         }
         case Loss::l2: return {1, 1};
         case Loss::log: return y > 0 ? Share{1 / (std::numbers::ln10 * std::numbers::ln10), 1} : Share{};
@@ -30,19 +37,52 @@ Share share_of_equals(const Sample& sample, Loss loss) {
     return {};
 }
 
-Share share(const Sample& sample, Loss loss) {
-    const Share s = share_of_equals(sample, loss);
+Share share(const Sample& sample, const Criterion& criterion) {
+    const Share s = share_of_equals(sample, criterion);
     return {s.weight * sample.weight, s.denominator * sample.weight};
+}
+
+double denominator_of(const Channel& channel, const Criterion& criterion) {
+    double denominator = 0;
+    for (const Sample& sample : channel.samples) denominator += share(sample, criterion).denominator;
+    return denominator;
 }
 
 }  // namespace
 
-Weighted weigh(const Channel& channel, Loss loss) {
+double Criterion::threshold() const {
+    switch (robust) {
+        case Robust::none: return 0;
+        case Robust::huber: return robust_threshold.value_or(1.345);
+        case Robust::cauchy: return robust_threshold.value_or(2.385);
+    }
+    return 0;
+}
+
+Influence Weighted::influence(double square) const {
+    const double bend = threshold * scale;
+    switch (robust) {
+        case Robust::none: break;
+        case Robust::huber: {
+            const double size = std::sqrt(square);
+            if (size <= bend) break;
+            return {bend * (2 * size - bend), bend / size, 0};
+        }
+        case Robust::cauchy: {
+            const double x = square / (bend * bend);
+            const double kept = 1 / (1 + x);
+            return {bend * bend * std::log1p(x), kept, (1 - x) * kept * kept};
+        }
+    }
+    return {square, 1, 1};
+}
+
+Weighted weigh(const Channel& channel, const Criterion& criterion) {
     Weighted result;
-    result.logarithmic = loss == Loss::log;
+    result.logarithmic = criterion.kind == Loss::log;
     double denominator = 0;
     for (const Sample& sample : channel.samples) {
-        const Share s = share(sample, loss);
+        const Share s = share(sample, criterion);
         denominator += s.denominator;
         result.weight.push_back(s.weight);
         if (s.weight > 0) ++result.used;
@@ -56,5 +96,26 @@ Weighted weigh(const Channel& channel, Loss loss) {
     result.norm = result.logarithmic ? 1.0 : std::sqrt(norm2);
     return result;
 }
+
+Weighted weigh(const Channel& channel, const Criterion& criterion, double scale) {
+    Weighted result = weigh(channel, criterion);
+    const double denominator = denominator_of(channel, criterion);
+    if (criterion.robust == Robust::none || !(denominator > 0)) return result;
+    result.robust = criterion.robust;
+    result.threshold = criterion.threshold();
+    result.scale = scale / std::sqrt(denominator);
+    if (result.logarithmic) return result;
+    double norm2 = 0;
+    for (std::size_t j = 0; j < result.weight.size(); ++j)
+        norm2 += result.influence(result.weight[j] * result.y[j] * result.y[j]).loss;
+    result.norm = std::sqrt(norm2);
+    return result;
+}
+
+double scale_in_loss(const Channel& channel, const Criterion& criterion, double scale) {
+    return scale * std::sqrt(denominator_of(channel, criterion));
+}
+
+bool has_unit(Loss loss) { return loss == Loss::cosine_l2 || loss == Loss::cosine || loss == Loss::l2; }
 
 }  // namespace brdfit::optim

@@ -9,8 +9,10 @@
 
 #include "kernels/evaluator.h"
 #include "optim/descent.h"
+#include "optim/robust.h"
 #include "optim/search.h"
 #include "optim/stationarity.h"
+#include "optim/statistics.h"
 
 namespace brdfit::optim {
 namespace {
@@ -27,23 +29,27 @@ constexpr std::size_t kThinTo = 2000;
 /// Ends of the quadratic search that the descent for another loss starts from.
 constexpr std::size_t kPolished = 6;
 
-/// A point to start from.
-struct Start {
-    std::vector<double> parameters;
-    double scale = 1;
-};
+/// Searches under reweighted squares, each from the fit before.
+constexpr int kReweightings = 6;
+/// A scale of residuals that falls by less has settled.
+constexpr double kSettledScale = 0.98;
+/// A loss^2 that falls to more than this part of the one before is no other fit.
+constexpr double kAsGood = 1 - 1e-6;
 
 /// The smaller variant's optimum with further lobes of no height.
-Start extended(const Model& model, const Optimum& smaller) {
+Start extended(const Model& model, const Model& smaller_model, const Start& smaller) {
     Start start{{}, smaller.scale};
     for (const kernels::Parameter& parameter : model.parameters) {
-        const auto known = smaller.model->find(parameter.name);
+        const auto known = smaller_model.find(parameter.name);
         const bool logarithmic = parameter.scale == kernels::Scale::logarithmic;
         start.parameters.push_back(known         ? smaller.parameters[*known]
                                    : logarithmic ? std::sqrt(parameter.typical_min * parameter.typical_max)
                                                  : 0.0);
     }
     return start;
+}
+Start extended(const Model& model, const Optimum& smaller) {
+    return extended(model, *smaller.model, {smaller.parameters, smaller.scale});
 }
 
 /// Starts within each special case that the bounds leave open.
@@ -112,6 +118,9 @@ Weighted balanced(Weighted weighted) {
     return weighted;
 }
 
+/// What losses of a search are divided by: loss^2 of f = 0.
+double scale2_of(const Weighted& weighted) { return weighted.norm > 0 ? weighted.norm * weighted.norm : 1.0; }
+
 /// A part of many samples, with weights so that sums over it estimate those over all.
 struct Thinned {
     std::vector<kernels::Direction> directions;
@@ -178,7 +187,7 @@ Optimum settled(const Task& task, const std::vector<Interval>& bounds, const Wei
     const SearchSpace space(task.model, bounds, unknowns, task.scale, level, Charts::passed_over, &task.directions);
     if (space.dimension() == 0) return found;
     Evaluator evaluator(task.engine, task.model, precision, task.directions, weighted.y, weighted.weight);
-    SpaceLoss loss(evaluator, space, scale2, weighted.logarithmic);
+    SpaceLoss loss(evaluator, space, scale2, &weighted);
     const Objective objective = [&](std::span<const double> u, std::span<double> g) { return loss(u, g); };
     Minimum end{space.coordinates(found.parameters, found.scale), {}, 0, found.record.stop_reason};
     end = settle(objective, std::move(end), resolution(precision), task.control);
@@ -202,7 +211,7 @@ Optimum finished(const Task& task, const std::vector<Interval>& bounds, const We
         const SearchSpace space(task.model, bounds, unknowns, task.scale, level, Charts::none);
         Evaluator evaluator(task.engine, task.model, task.precision.value_or(task.engine.best_precision()),
                             task.directions, weighted.y, weighted.weight);
-        SpaceLoss loss(evaluator, space, scale2, weighted.logarithmic);
+        SpaceLoss loss(evaluator, space, scale2, &weighted);
         const Landscape landscape = [&](auto at) { return loss.looks(at); };
         Minimum best{
             space.coordinates(found.parameters, found.scale), {}, found.relative_loss2, found.record.stop_reason};
@@ -226,28 +235,60 @@ Optimum finished(const Task& task, const std::vector<Interval>& bounds, const We
     return task.control.over() ? optimum : settled(task, bounds, weighted, unknowns, level, scale2, optimum);
 }
 
-/// The search in all parameters, for a loss that is not quadratic in the coefficients.
+/// A loss that is not quadratic in the coefficients, in all parameters.
+struct AllParameters {
+    AllParameters(const Task& task, const std::vector<Interval>& bounds, double level, const Weighted& form)
+        : space(task.model, bounds, Unknowns::all, task.scale, level, Charts::used, &task.directions),
+          evaluator(task.engine, task.model, task.precision.value_or(task.engine.best_precision()), task.directions,
+                    form.y, form.weight),
+          scale2(scale2_of(form)),
+          loss(evaluator, space, scale2, &form) {}
+
+    [[nodiscard]] std::vector<std::vector<double>> points(const std::vector<Start>& starts) const {
+        std::vector<std::vector<double>> result;
+        for (const Start& start : starts) result.push_back(space.coordinates(start.parameters, start.scale));
+        return result;
+    }
+
+    SearchSpace space;
+    Evaluator evaluator;
+    double scale2;
+    SpaceLoss loss;
+};
+
+/// Searches from the starts, and without an effort from nothing else.
 Optimum search_in_all(const Task& task, const std::vector<Interval>& bounds, double level,
-                      const std::vector<Start>& starts) {
-    const SearchSpace space(task.model, bounds, Unknowns::all, task.scale, level, Charts::used, &task.directions);
-    Evaluator evaluator(task.engine, task.model, task.precision.value_or(task.engine.best_precision()), task.directions,
-                        task.weighted.y, task.weighted.weight);
-    SpaceLoss loss(evaluator, space, 1, task.weighted.logarithmic);
-    std::vector<std::vector<double>> points;
-    for (const Start& start : starts) points.push_back(space.coordinates(start.parameters, start.scale));
-    SpaceLoss* const stage = &loss;
-    const SearchResult found =
-        search_space({&stage, 1}, budget(task.effort, space.dimension(), task.model.repeats), task.control, points);
-    return optimum_at(task, space, found.best, found.record);
+                      const std::vector<Start>& starts, std::optional<Effort> effort) {
+    AllParameters all(task, bounds, level, task.weighted);
+    SpaceLoss* const stage = &all.loss;
+    const SearchBudget allowed = effort ? budget(*effort, all.space.dimension(), task.model.repeats) : SearchBudget{};
+    SearchResult found = search_space({&stage, 1}, allowed, task.control, all.points(starts));
+    found.best.loss2 /= all.scale2;
+    return optimum_at(task, all.space, found.best, found.record);
 }
 
-}  // namespace
+/// The squares that are searched for the loss: a logarithmic one equals the relative one for small residuals.
+Weighted squares_of(const Task& task) {
+    if (task.weighted.logarithmic) return weigh(task.channel, Loss::relative);
+    Weighted squares = task.weighted;
+    if (squares.robust == Robust::none) return squares;
+    squares.robust = Robust::none;
+    double norm2 = 0;
+    for (std::size_t j = 0; j < squares.y.size(); ++j) norm2 += squares.weight[j] * squares.y[j] * squares.y[j];
+    squares.norm = std::sqrt(norm2);
+    return squares;
+}
 
-Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, const Optimum* smaller) {
-    // A logarithmic loss is searched through the relative one, which it equals for small residuals.
-    const Weighted quadratic =
-        balanced(task.weighted.logarithmic ? weigh(task.channel, Loss::relative) : task.weighted);
-    const double scale2 = quadratic.norm > 0 ? quadratic.norm * quadratic.norm : 1.0;
+/// What a search of the coefficients' projection has found.
+struct Separable {
+    Optimum optimum;            ///< not settled
+    std::vector<Start> starts;  ///< the best distinct ends
+};
+
+/// Searches under balanced squares. `smaller`: a start, may be nullptr. `ends`: how many are asked for.
+Separable search_separable(const Task& task, const std::vector<Interval>& bounds, const Weighted& squares,
+                           const Start* smaller, std::size_t ends, Effort effort) {
+    const double scale2 = scale2_of(squares);
     const SearchSpace space(task.model, bounds, Unknowns::nonlinear, task.scale, 1, Charts::used, &task.directions);
     const kernels::Precision precision = task.precision.value_or(task.engine.best_precision());
     std::list<Evaluator> evaluators;  // losses keep references
@@ -258,44 +299,168 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
         evaluators.emplace_back(task.engine, task.model, arithmetic, directions, data.y, data.weight, accuracy);
         stages.push_back(&losses.emplace_back(evaluators.back(), space, scale2));
     };
-    const bool series = task.model.sums_series();
     const bool coarse = !task.precision && task.model.begins_quickly();
     const kernels::Precision quick = coarse ? task.engine.quickest_precision() : precision;
-    const kernels::Accuracy accuracy = coarse && series ? kernels::Accuracy::search : kernels::Accuracy::full;
-    if (quadratic.y.size() > kThinAbove) {
-        const Thinned thin = thinned(quadratic, task.directions.directions(), task.control.seed);
+    const kernels::Accuracy accuracy = coarse ? task.model.first_accuracy() : kernels::Accuracy::full;
+    if (squares.y.size() > kThinAbove) {
+        const Thinned thin = thinned(squares, task.directions.directions(), task.control.seed);
         add_stage(quick, accuracy, thin.directions, thin.data);
     }
-    if (coarse) add_stage(quick, accuracy, task.directions, quadratic);
-    add_stage(precision, kernels::Accuracy::full, task.directions, quadratic);
+    if (coarse) add_stage(quick, accuracy, task.directions, squares);
+    add_stage(precision, kernels::Accuracy::full, task.directions, squares);
     SpaceLoss& exact = *stages.back();
 
     std::vector<std::vector<double>> seeds = special_starts(task, *stages.front());
-    if (smaller != nullptr) {
-        const Start start = extended(task.model, *smaller);
-        seeds.push_back(space.coordinates(start.parameters, start.scale));
-    }
+    if (smaller != nullptr) seeds.push_back(space.coordinates(smaller->parameters, smaller->scale));
     SearchResult found =
-        search_space(stages, budget(task.effort, space.dimension(), task.model.repeats), task.control, seeds);
+        search_space(stages, budget(effort, space.dimension(), task.model.repeats), task.control, seeds);
     found.best.loss2 /= scale2;
-    Optimum optimum = optimum_at(task, space, found.best, found.record);
-    if (!task.weighted.logarithmic)
-        return finished(task, bounds, quadratic, Unknowns::nonlinear, 1, scale2, std::move(optimum));
-
-    std::vector<Start> starts;
-    if (smaller != nullptr) starts.push_back(extended(task.model, *smaller));
-    for (std::size_t i = 0; i < std::min(kPolished, found.minima.size()); ++i) {
+    Separable result{optimum_at(task, space, found.best, found.record), {}};
+    for (std::size_t i = 0; i < std::min(ends, found.minima.size()); ++i) {
         exact.complete(found.minima[i]);
         Start start;
         start.parameters = space.parameters(found.minima[i].u, found.minima[i].coefficients, start.scale);
-        starts.push_back(std::move(start));
+        result.starts.push_back(std::move(start));
     }
+    return result;
+}
+
+/// Loss and residuals of a model at a start.
+Residuals residuals_at(const Task& task, const Start& start) {
+    std::vector<double> f = kernels::evaluate(task.engine, task.model, task.engine.best_precision(), start.parameters,
+                                              task.directions, false)
+                                .f;
+    for (double& value : f) value *= start.scale;
+    return residuals(task.weighted, f);
+}
+
+/// The ends of descents under a loss that is not quadratic in the coefficients, best first.
+std::vector<Start> descended(const Task& task, const std::vector<Interval>& bounds, double level, const Weighted& form,
+                             const std::vector<Start>& starts, std::size_t& evaluations) {
+    constexpr DescentGoal kGoal{1e-6, 1e-24, 60};
+    constexpr double kSame = 1e-2;
+    AllParameters all(task, bounds, level, form);
+    if (all.space.dimension() == 0) return starts;
+    const Landscape landscape = [&](auto at) { return all.loss.looks(at); };
+    std::vector<Minimum> ends = descend_together(landscape, all.points(starts), kGoal, task.control);
+    std::stable_sort(ends.begin(), ends.end(), [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
+    std::vector<Start> result;
+    for (Minimum& end : distinct_ends(ends, kSame)) {
+        if (result.size() == kPolished) break;
+        all.loss.complete(end);
+        Start start;
+        start.parameters = all.space.parameters(end.u, end.coefficients, start.scale);
+        result.push_back(std::move(start));
+    }
+    evaluations += all.loss.evaluations();
+    return result;
+}
+
+/// Of searches that others have gone before.
+Effort again(Effort effort) { return effort == Effort::standard ? Effort::draft : effort; }
+
+/// Where coefficients begin to be searched in their logarithm.
+double level_of(const Task& task, const Levels& levels) {
+    return 0.1 * (task.weighted.logarithmic ? levels.least : levels.middle);
+}
+
+}  // namespace
+
+Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, const Optimum* smaller) {
+    const Weighted squares = balanced(squares_of(task));
+    std::optional<Start> extension;
+    if (smaller != nullptr) extension = extended(task.model, *smaller);
+    Separable found = search_separable(task, bounds, squares, extension ? &*extension : nullptr,
+                                       task.weighted.logarithmic ? kPolished : 0, task.effort);
+    if (!task.weighted.logarithmic)
+        return finished(task, bounds, squares, Unknowns::nonlinear, 1, scale2_of(squares), std::move(found.optimum));
+
+    std::vector<Start> starts;
+    if (extension) starts.push_back(*extension);
+    starts.insert(starts.end(), found.starts.begin(), found.starts.end());
     const Levels levels = levels_of(task);
     add_lit(task, bounds, levels, starts);
-    const double level = 0.1 * levels.least;
-    optimum = search_in_all(task, bounds, level, starts);
-    optimum.record.evaluations += found.record.evaluations;
+    const double level = level_of(task, levels);
+    Optimum optimum = search_in_all(task, bounds, level, starts, task.effort);
+    optimum.record.evaluations += found.optimum.record.evaluations;
     return finished(task, bounds, task.weighted, Unknowns::all, level, 1, std::move(optimum));
+}
+
+Groundwork lay_groundwork(const Task& task, const std::vector<Interval>& bounds, const Start* smaller,
+                          const Model* smaller_model) {
+    const Weighted squares = squares_of(task);
+    const Levels levels = levels_of(task);
+    const double level = level_of(task, levels);
+    const auto free = static_cast<std::size_t>(
+        std::count_if(bounds.begin(), bounds.end(), [](const Interval& b) { return !b.fixed(); }));
+    std::optional<Start> extension;
+    if (smaller != nullptr) extension = extended(task.model, *smaller_model, *smaller);
+    Groundwork work;
+    const auto search = [&](const Weighted& of, Effort effort) {
+        Separable found =
+            search_separable(task, bounds, balanced(of), extension ? &*extension : nullptr, kPolished, effort);
+        work.evaluations += found.optimum.record.evaluations;
+        work.starts.insert(work.starts.end(), found.starts.begin(), found.starts.end());
+    };
+    if (extension) work.starts.push_back(*extension);
+    search(squares, task.effort);
+    if (task.weighted.logarithmic) add_lit(task, bounds, levels, work.starts);
+    work.scale = HUGE_VAL;
+    std::vector<double> best;
+    for (const Start& start : work.starts) {
+        std::vector<double> r = residuals_at(task, start).r;
+        const double scale = robust_scale(task.weighted, r, free);
+        if (!(scale < work.scale)) continue;
+        work.scale = scale;
+        best = std::move(r);
+    }
+    Weighted form = task.weighted;
+    Criterion cauchy;
+    cauchy.robust = form.robust = Robust::cauchy;
+    form.threshold = cauchy.threshold();
+    for (int round = 0; round < kReweightings && !task.control.over(); ++round) {
+        form.scale = work.scale;
+        search(reweighted(squares, form, best), again(task.effort));
+        work.starts = descended(task, bounds, level, form, work.starts, work.evaluations);
+        best = residuals_at(task, work.starts.front()).r;
+        const double next = robust_scale(task.weighted, best, free);
+        const bool settled = next > kSettledScale * work.scale;
+        work.scale = std::min(work.scale, next);
+        if (settled) break;
+    }
+    return work;
+}
+
+Optimum find_robust_optimum(const Task& task, const std::vector<Interval>& bounds, const Optimum* smaller,
+                            const Groundwork& groundwork) {
+    const Weighted squares = squares_of(task);
+    const double level = level_of(task, levels_of(task));
+    std::vector<Start> starts = groundwork.starts;
+    std::optional<Start> extension;
+    if (smaller != nullptr) starts.push_back(extension.emplace(extended(task.model, *smaller)));
+    std::optional<Effort> effort = again(task.effort);
+    if (squares.y.size() > kThinAbove) effort.reset();  // nothing here is thinned, and the starts are good
+    Optimum optimum = search_in_all(task, bounds, level, starts, effort);
+    std::size_t evaluations = groundwork.evaluations;
+    const double scale2 = scale2_of(task.weighted);
+    // The squares that touch the loss at the best fit so far may lead to a better one.
+    for (int round = 0; round < kReweightings && !task.control.over(); ++round) {
+        const Start here{optimum.parameters, optimum.scale};
+        const Weighted touching = balanced(reweighted(squares, task.weighted, residuals_at(task, here).r));
+        Separable found =
+            search_separable(task, bounds, touching, extension ? &*extension : nullptr, kPolished, again(task.effort));
+        evaluations += found.optimum.record.evaluations;
+        const Start best = descended(task, bounds, level, task.weighted, found.starts, evaluations).front();
+        const double relative_loss2 = residuals_at(task, best).loss2 / scale2;
+        if (!(relative_loss2 < optimum.relative_loss2)) break;
+        const bool settled = relative_loss2 > optimum.relative_loss2 * kAsGood;
+        optimum.parameters = best.parameters;
+        optimum.scale = best.scale;
+        optimum.relative_loss2 = relative_loss2;
+        if (settled) break;
+    }
+    optimum.record.evaluations += evaluations;
+    return finished(task, bounds, task.weighted, Unknowns::all, level, scale2, std::move(optimum));
 }
 
 }  // namespace brdfit::optim

@@ -15,6 +15,12 @@
 
 namespace brdfit::optim {
 
+/// A point to start from.
+struct Start {
+    std::vector<double> parameters;  ///< in the model's unit
+    double scale = 1;
+};
+
 /// Everything a search of one variant on one channel needs. References must outlive it.
 struct Task {
     kernels::Engine& engine;
@@ -33,7 +39,7 @@ struct Optimum {
     const kernels::Model* model = nullptr;
     std::vector<double> parameters;  ///< in the model's unit, within the bounds
     double scale = 1;
-    double relative_loss2 = 0;  ///< loss^2 over that of f = 0; for `log` loss^2
+    double relative_loss2 = 0;  ///< loss^2 over that of f = 0 (Weighted::norm); for `log` loss^2
     SearchRecord record;
 };
 
@@ -41,5 +47,21 @@ struct Optimum {
 /// fewer lobes, whose loss this one will not exceed; may be nullptr. Throws kernels::DeviceError, kernels::BuildError,
 /// SearchError.
 Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, const Optimum* smaller);
+
+/// What a search under a robust loss begins with.
+struct Groundwork {
+    double scale = 0;           ///< of the best fit's ordinary residuals, as Weighted::scale
+    std::vector<Start> starts;  ///< the best distinct fits under Cauchy's loss of that scale, best first, at least one
+    std::size_t evaluations = 0;
+};
+
+/// From the squares of task.weighted: searches, each under the squares reweighted by the fit before, until the scale no
+/// longer falls. `smaller`: of the variant with fewer lobes, of the model `smaller_model`; may be nullptr. Throws as
+/// find_optimum.
+Groundwork lay_groundwork(const Task& task, const std::vector<Interval>& bounds, const Start* smaller,
+                          const kernels::Model* smaller_model);
+/// The same as find_optimum where task.weighted is robust.
+Optimum find_robust_optimum(const Task& task, const std::vector<Interval>& bounds, const Optimum* smaller,
+                            const Groundwork& groundwork);
 
 }  // namespace brdfit::optim

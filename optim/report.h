@@ -9,6 +9,7 @@
 
 #include "kernels/engine.h"
 #include "optim/dataset.h"
+#include "optim/loss.h"
 #include "optim/scene.h"
 
 namespace brdfit::optim {
@@ -47,6 +48,12 @@ struct SearchRecord {
     double time_s = 0;
 };
 
+/// Samples that a robust loss has taken most of the weight from: they keep less than a tenth.
+struct Outliers {
+    std::vector<std::size_t> samples;  ///< their places in the channel, rising
+    double fraction = 0;               ///< of the samples that have a weight
+};
+
 /// One model fitted to one channel.
 struct Fit {
     std::size_t rank = 0;  ///< from 1, by loss
@@ -63,6 +70,7 @@ struct Fit {
     double bic = 0;
     std::vector<ScanError> scans;
     std::optional<double> ns_per_evaluation{};
+    std::optional<Outliers> outliers{};  ///< of a robust loss
     SearchRecord search;
     std::vector<std::string> warnings;
     /// The model at the reported parameters, times scale: what the plots draw and the errors measure.
@@ -89,6 +97,8 @@ struct ChannelReport {
     std::vector<std::string> warnings{};
     std::vector<ParetoPoint> pareto{};            ///< cheapest first
     std::optional<Recommendation> recommended{};  ///< none where it was not asked for
+    /// Of a robust loss: size of the best model's ordinary residuals, in the loss's unit; the same for all fits.
+    std::optional<double> robust_scale{};
 };
 
 struct Report {
@@ -98,6 +108,7 @@ struct Report {
     kernels::DeviceInfo device;
     kernels::Precision precision = kernels::Precision::double_precision;
     std::vector<ChannelReport> channels;
+    Criterion loss{};
     std::optional<Scene> scene{};  ///< that was asked for
 };
 

@@ -13,6 +13,7 @@
 #include <boost/random/sobol.hpp>
 
 #include "optim/descent.h"
+#include "optim/robust.h"
 
 namespace brdfit::optim {
 namespace {
@@ -163,15 +164,6 @@ double distance(std::span<const double> a, std::span<const double> b) {
     return largest;
 }
 
-/// Ends that differ, best first.
-std::vector<Minimum> distinct_ends(const std::vector<Minimum>& ends, double close) {
-    std::vector<Minimum> result;
-    for (const Minimum& end : ends)
-        if (std::none_of(result.begin(), result.end(), [&](const Minimum& m) { return distance(m.u, end.u) < close; }))
-            result.push_back(end);
-    return result;
-}
-
 /// Descents stop short of what the arithmetic of a search can tell.
 constexpr DescentGoal kQuickGoal{1e-5, 1e-12, 60};
 constexpr DescentGoal kExactGoal{1e-11, 1e-26, 100};
@@ -210,6 +202,14 @@ std::vector<std::vector<double>> best_distinct(const std::vector<std::vector<dou
     return chosen;
 }
 
+std::vector<Minimum> distinct_ends(const std::vector<Minimum>& ends, double close) {
+    std::vector<Minimum> result;
+    for (const Minimum& end : ends)
+        if (std::none_of(result.begin(), result.end(), [&](const Minimum& m) { return distance(m.u, end.u) < close; }))
+            result.push_back(end);
+    return result;
+}
+
 SearchBudget budget(Effort effort, std::size_t dimension, std::size_t lobes) {
     const bool thorough = effort == Effort::thorough;
     const std::size_t factor = thorough ? 8 : 1;
@@ -238,8 +238,9 @@ void SpaceLoss::evaluate(std::span<const std::vector<double>> points, bool gradi
         lower_.insert(lower_.end(), at.lower.begin(), at.lower.end());
         upper_.insert(upper_.end(), at.upper.begin(), at.upper.end());
     }
-    if (space_.unknowns() == Unknowns::all) evaluator_.loss(parameters_, lower_, logarithmic_, batch_);
-    else evaluator_.project(parameters_, lower_, upper_, gradient, batch_);
+    if (space_.unknowns() == Unknowns::nonlinear) evaluator_.project(parameters_, lower_, upper_, gradient, batch_);
+    else if (robust()) robust_loss(evaluator_, *form_, parameters_, lower_, batch_);
+    else evaluator_.loss(parameters_, lower_, logarithmic(), batch_);
     evaluations_ += points.size();
 }
 
@@ -251,7 +252,7 @@ double SpaceLoss::operator()(std::span<const double> u, std::span<double> gradie
         for (double& g : gradient) g /= scale2_;
         // Near underflow the slope of a logarithm overflows; at underflow there is none.
         for (double& slope : gradient)
-            if (logarithmic_ && !std::isfinite(slope)) slope = 0;
+            if (logarithmic() && !std::isfinite(slope)) slope = 0;
     }
     return batch_.loss[0] / scale2_;
 }
@@ -385,7 +386,8 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
         ends.clear();
         descend_from(*stage, from);
     }
-    if (space.unknowns() == Unknowns::all && !control.over()) {  // not of squares that are small: NLopt may know better
+    // Not of squares that are small: NLopt may know better. Those that touch a robust loss know its slope.
+    if (space.unknowns() == Unknowns::all && !exact.robust() && !control.over()) {
         const Objective objective = [&](std::span<const double> u, std::span<double> g) { return exact(u, g); };
         for (const Minimum& end : std::vector<Minimum>(ends))
             ends.push_back(descend(objective, end.u, kFurtherEvaluations, 1e-13, control));

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "kernels/evaluator.h"
+#include "optim/loss.h"
 #include "optim/report.h"
 #include "optim/space.h"
 
@@ -70,9 +71,10 @@ struct Look {
 /// throw what the evaluator throws.
 class SpaceLoss {
 public:
-    /// `logarithmic` is read with Unknowns::all only, where the loss is Evaluator::loss; else it is Evaluator::project.
-    SpaceLoss(kernels::Evaluator& evaluator, const SearchSpace& space, double scale2, bool logarithmic = false)
-        : evaluator_(evaluator), space_(space), scale2_(scale2), logarithmic_(logarithmic) {}
+    /// With Unknowns::nonlinear the loss is Evaluator::project. With Unknowns::all `form`, the evaluator's data, says
+    /// whether residuals are logarithmic and whether the loss is robust.
+    SpaceLoss(kernels::Evaluator& evaluator, const SearchSpace& space, double scale2, const Weighted* form = nullptr)
+        : evaluator_(evaluator), space_(space), scale2_(scale2), form_(form) {}
 
     /// The value at u, and its gradient unless that is empty.
     double operator()(std::span<const double> u, std::span<double> gradient);
@@ -86,15 +88,17 @@ public:
 
     [[nodiscard]] std::size_t evaluations() const { return evaluations_; }
     [[nodiscard]] const SearchSpace& space() const { return space_; }
+    [[nodiscard]] bool robust() const { return form_ != nullptr && form_->robust != Robust::none; }
 
 private:
+    [[nodiscard]] bool logarithmic() const { return form_ != nullptr && form_->logarithmic; }
     /// Evaluates points into batch_ and candidates_.
     void evaluate(std::span<const std::vector<double>> points, bool gradient);
 
     kernels::Evaluator& evaluator_;
     const SearchSpace& space_;
     double scale2_;
-    bool logarithmic_;
+    const Weighted* form_;
     std::vector<Candidate> candidates_;
     std::vector<double> parameters_, lower_, upper_;
     kernels::Batch batch_;
@@ -106,6 +110,9 @@ std::vector<std::vector<double>> screening_points(const SearchSpace& space, std:
 /// The best points, by their values, that are not close to a better one.
 std::vector<std::vector<double>> best_distinct(const std::vector<std::vector<double>>& points,
                                                const std::vector<double>& values, std::size_t count);
+
+/// The ends, in their order, that differ from those before by `close` in some coordinate.
+std::vector<Minimum> distinct_ends(const std::vector<Minimum>& ends, double close);
 
 /// Minimises over a space. `stages` are losses of that space in rising order of cost and trust, at least one: the first
 /// is searched, each further one goes on from the best ends of the one before, the last decides. `seeds` descend

@@ -46,7 +46,7 @@ Residuals residuals(const Weighted& weighted, std::span<const double> f) {
             r = f[j] - weighted.y[j];
             by_f = 1;
         }
-        result.loss2 += weighted.weight[j] * r * r;
+        result.loss2 += weighted.influence(weighted.weight[j] * r * r).loss;
         result.r.push_back(r);
         result.by_f.push_back(by_f);
     }
@@ -73,7 +73,9 @@ void describe_errors(const Channel& channel, const Weighted& weighted, std::size
     const double k = static_cast<double>(free) + 1;
     constexpr double kRounding = 1e-14;  // of the data
     const double loss = std::max(fit.loss, kRounding * weighted.norm);
-    const double deviance = n * std::log(std::max(loss * loss, std::numeric_limits<double>::min()));
+    double deviance = n * std::log(std::max(loss * loss, std::numeric_limits<double>::min()));
+    // The scale of a robust loss is common to all models: -2 ln L = 2 sum rho (Ronchetti 1985).
+    if (weighted.robust != Robust::none) deviance = (fit.loss / weighted.scale) * (fit.loss / weighted.scale);
     if (n > k + 1) fit.aicc = deviance + 2 * k + 2 * k * (k + 1) / (n - k - 1);
     fit.bic = deviance + k * std::log(n);
 }

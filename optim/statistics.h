@@ -13,7 +13,7 @@ namespace brdfit::optim {
 
 /// Loss and its residuals at given model values f (one a sample).
 struct Residuals {
-    double loss2 = 0;          ///< sum of w r^2
+    double loss2 = 0;          ///< sum of w r^2, or what a robust form has for it
     std::vector<double> r;     ///< f - y or ln f - ln y, 0 where the weight is 0
     std::vector<double> by_f;  ///< d r/d f
 };

@@ -14,6 +14,7 @@
 #include "optim/fit.h"
 #include "optim/statistics.h"
 #include "tests/fits/fitting.h"
+#include "tests/fits/materials.h"
 #include "tests/support.h"
 
 namespace brdfit::tests {
@@ -21,6 +22,7 @@ namespace {
 
 using kernels::Direction;
 using optim::Channel;
+using optim::Criterion;
 using optim::Dataset;
 using optim::Effort;
 using optim::Fit;
@@ -29,6 +31,7 @@ using optim::Fitter;
 using optim::Loss;
 using optim::ModelRequest;
 using optim::Report;
+using optim::Robust;
 using optim::StopReason;
 using optim::Unit;
 
@@ -305,6 +308,138 @@ TEST_P(EveryLoss, TheReportedLossIsTheLossThereAndAMinimum) {
                         << surface << " " << name << " " << model.parameters[i].name << " " << step;
                 }
         }
+    }
+}
+
+// ---- robust losses ----
+
+Criterion robust_form(Loss kind, Robust robust) {
+    Criterion loss = kind;
+    loss.robust = robust;
+    return loss;
+}
+
+FitOptions with_loss(const Criterion& loss) {
+    FitOptions options;
+    options.loss = loss;
+    return options;
+}
+
+/// A surface with 2 % of noise, and one value of 20 ten times too large or too small.
+Dataset contaminated(const kernels::Model& model, const std::vector<double>& truth) {
+    const auto directions = scan_directions({15, 30, 45, 60, 75}, 2);
+    Channel channel = make_channel(directions, model_values(model, truth, directions));
+    Random random(3);
+    for (auto& s : channel.samples) s.brdf *= 1 + 0.02 * random.normal();
+    contaminate(channel, 0.05, 1);
+    return dataset_of(channel);
+}
+
+const std::vector<std::pair<std::string, std::vector<double>>> kTruths{
+    {"lambert", {0.4}},
+    {"phong", {0.3, 0.2, 67.8}},
+    {"ward", {0.5, 0.05, 0.15}},
+    {"lafortune_1", {0.1, -1.02, 0.98, 50.0}},
+    {"lafortune_2", {0.542, -1.04, 0.893, 31.1, -1.22, -0.142, 21.4}},
+    {"he_torrance", {0.93, 12.7, 1.5, 0.0, 0.534}}};
+
+/// Distance of the farthest parameter from the truth, in standard errors of `judge`; those without one are passed over.
+double farthest(const Fit& fit, const Fit& judge, const std::vector<double>& truth) {
+    double most = 0;
+    for (std::size_t i = 0; i < truth.size(); ++i)
+        if (const auto error = judge.parameters[i].std_error)
+            most = std::max(most, std::abs(fit.parameters[i].value - truth[i]) / *error);
+    return most;
+}
+
+/// Huber's loss bounds what an outlier does, and Cauchy's forgets it.
+TEST(RobustLosses, RecoverParametersThatOutliersHideFromSquares) {
+    for (const auto& [name, truth] : kTruths) {
+        const Dataset dataset = contaminated(variant(name), truth);
+        const Fit plain = fit_one(dataset, request(name), with_loss(Loss::relative));
+        for (const Robust robust : {Robust::huber, Robust::cauchy}) {
+            const Fit fit = fit_one(dataset, request(name), with_loss(robust_form(Loss::relative, robust)));
+            const double off = farthest(fit, fit, truth);
+            const double plainly_off = farthest(plain, fit, truth);
+            const char* form = robust == Robust::huber ? "huber" : "cauchy";
+            std::printf("%-12s %-6s farthest parameter %.2f standard errors off; of the squares' fit %.0f\n",
+                        name.c_str(), form, off, plainly_off);
+            EXPECT_LT(off, robust == Robust::huber ? 6 : 4) << name << " " << form;
+            EXPECT_GT(plainly_off, 20) << name << " " << form;
+            EXPECT_EQ(fit.search.stop_reason, StopReason::converged) << name << " " << form;
+            ASSERT_TRUE(fit.outliers);
+            for (std::size_t j = 0; j < fit.values.size(); ++j) {
+                const double y = dataset.channels[0].samples[j].brdf;
+                if (std::max(y / fit.values[j], fit.values[j] / y) < 5 || y < fit.values[j]) continue;
+                EXPECT_TRUE(std::binary_search(fit.outliers->samples.begin(), fit.outliers->samples.end(), j)) << j;
+            }
+            EXPECT_LT(fit.outliers->fraction, 0.08) << name << " " << form;
+        }
+    }
+}
+
+/// A scale of its own would make light of a bad model's residuals.
+TEST(RobustLosses, JudgeAllModelsOfAChannelByOneScale) {
+    const Dataset dataset = contaminated(variant("ward"), {0.5, 0.05, 0.15});
+    const FitOptions options = with_loss(robust_form(Loss::cosine_l2, Robust::cauchy));
+    const Report report = fitter().fit(dataset, requests({"lambert", "phong", "ward"}), options);
+    const auto& fits = report.channels[0].fits;
+    ASSERT_EQ(fits.size(), 3U);
+    EXPECT_EQ(fits.front().model, "ward");
+    EXPECT_EQ(fits.back().model, "lambert");
+    const double scale = report.channels[0].robust_scale.value();
+    const optim::Weighted weighted = optim::weigh(dataset.channels[0], options.loss, scale);
+    for (const Fit& fit : fits) {
+        EXPECT_NEAR(fit.loss, std::sqrt(optim::residuals(weighted, fit.values).loss2), 1e-12 * fit.loss);
+        EXPECT_NEAR(fit.relative_loss, fit.loss / weighted.norm, 1e-12);
+    }
+}
+
+TEST(RobustLosses, OfDataWithoutOutliersAreNearlyTheSquares) {
+    const auto directions = scan_directions({15, 30, 45, 60, 75}, 2);
+    Channel channel = make_channel(directions, model_values(variant("ward"), {0.5, 0.05, 0.15}, directions));
+    Random random(4);
+    for (auto& s : channel.samples) s.brdf *= 1 + 0.02 * random.normal();
+    const Dataset dataset = dataset_of(channel);
+    const Fit plain = fit_one(dataset, request("ward"), with_loss(Loss::relative));
+    for (const Robust robust : {Robust::huber, Robust::cauchy}) {
+        Criterion loss = robust_form(Loss::relative, robust);
+        const Fit fit = fit_one(dataset, request("ward"), with_loss(loss));
+        EXPECT_LT(farthest(fit, plain, values_of(plain)), 1);
+        EXPECT_NEAR(fit.loss / plain.loss, 1, 0.1);
+        for (std::size_t i = 0; i < fit.parameters.size(); ++i)  // 95 % efficient: errors 3 % larger
+            EXPECT_NEAR(*fit.parameters[i].std_error / *plain.parameters[i].std_error, 1, 0.15);
+        loss.robust_threshold = optim::kMostThreshold;
+        const Fit wide = fit_one(dataset, request("ward"), with_loss(loss));
+        EXPECT_LT(farthest(wide, plain, values_of(plain)), 0.05);
+    }
+}
+
+/// A factor on the data is one on the scale of losses in the data's unit, and on no other.
+TEST(RobustLosses, ScaleWithTheData) {
+    Dataset dataset = contaminated(variant("ward"), {0.05, 0.005, 0.15});
+    Dataset larger = dataset;
+    for (auto& s : larger.channels[0].samples) s.brdf *= 8;
+    for (const Loss kind : {Loss::l2, Loss::relative, Loss::log}) {
+        const FitOptions options = with_loss(robust_form(kind, Robust::cauchy));
+        const Report a = fitter().fit(dataset, requests({"ward"}), options);
+        const Report b = fitter().fit(larger, requests({"ward"}), options);
+        const double factor = kind == Loss::l2 ? 8 : 1;
+        EXPECT_NEAR(*b.channels[0].robust_scale / *a.channels[0].robust_scale, factor, 1e-3 * factor);
+        EXPECT_NEAR(only(b).loss / only(a).loss, factor, 1e-3 * factor);
+        EXPECT_NEAR(only(b).parameters[2].value, only(a).parameters[2].value, 1e-3 * only(a).parameters[2].value);
+    }
+}
+
+TEST(RobustLosses, MeetNoiselessDataWithOutliersExactly) {
+    const std::vector<double> truth{0.3, 0.2, 67.8};
+    const auto directions = scan_directions({15, 30, 45, 60, 75}, 2);
+    Channel channel = make_channel(directions, model_values(variant("phong"), truth, directions));
+    contaminate(channel, 0.1, 2);
+    for (const Robust robust : {Robust::huber, Robust::cauchy}) {
+        const Fit fit = fit_one(dataset_of(channel), request("phong"), with_loss(robust_form(Loss::cosine_l2, robust)));
+        for (std::size_t i = 0; i < truth.size(); ++i)
+            EXPECT_NEAR(fit.parameters[i].value, truth[i], 1e-5 * truth[i]) << fit.parameters[i].name;
     }
 }
 

@@ -87,4 +87,11 @@ inline optim::Channel random_measurement(const kernels::Model& model, std::size_
     return channel;
 }
 
+/// Gross outliers: that part of the values ten times too large or too small.
+inline void contaminate(optim::Channel& channel, double part, std::size_t index) {
+    Random random(2'000'000 + index);
+    for (optim::Sample& sample : channel.samples)
+        if (random.chance(part)) sample.brdf *= random.chance(0.5) ? 10 : 0.1;
+}
+
 }  // namespace brdfit::tests

@@ -29,6 +29,37 @@ done
 fits '.options.loss = "chi2" | .dataset.channels[0].scans[] |= (.sigma = [.brdf[] | 0.02 * .])'
 answered "loss chi2" 200
 holds "chi2 is about 1 where sigma is the noise" '.channels[0].fits[0].loss | . > 0.2 and . < 2'
+fits '.options = {loss: "cosine", cos_theta_i_exponent: 0, cos_theta_r_exponent: 1}'
+answered "cosine with exponents" 200
+cp "$work/body" "$work/cosine"
+fits '.options.loss = "cosine_l2"'
+check "exponents 0 and 1 are cosine_l2" jq -ne --slurpfile a "$work/cosine" --slurpfile b "$work/body" \
+    '[$a, $b | .[0].channels[0].fits[0] | [.parameters, .loss]] | .[0] == .[1]'
+fits '.options = {loss: "cosine", cos_theta_i_exponent: 1, cos_theta_r_exponent: -0.5}'
+holds "exponents are told" '.channels[0].loss
+    | .name == "cosine" and .cos_theta_i_exponent == 1 and .cos_theta_r_exponent == -0.5 and .robust == "none"'
+fits '.options = {loss: "cosine", cos_theta_r_exponent: -1} | .dataset.channels[0].scans[0].theta_r_deg[0] = -89.9'
+answered "a negative exponent beside a grazing angle" 422
+fits '.options = {loss: "l2", cos_theta_r_exponent: 1}'
+answered "exponents of another loss" 422
+# Every twentieth value is ten times too large.
+outliers='.dataset.channels[0].scans[].brdf |= (to_entries | map(if .key % 20 == 7 then 10 * .value else .value end))'
+fits "$outliers"
+holds "outliers lead squares astray" '.channels[0].fits[0].parameters.rho_d.value | . > 0.5'
+for robust in huber cauchy; do
+    for loss in cosine_l2 l2 log relative; do
+        fits "$outliers | .options = {loss: \"$loss\", robust: \"$robust\"}"
+        answered "$robust $loss" 200
+        holds "$robust $loss finds the lobe all the same" '.channels[0].fits[0].parameters
+            | (.alpha.value - 0.2 | fabs) < 0.02 and (.rho_d.value - 0.3 | fabs) < 0.03'
+        holds "$robust $loss counts the outliers" '.channels[0] | .loss.robust == $robust and .loss.robust_scale > 0
+            and (.fits[0].outliers | .count > 5 and .count < 15 and (.samples | length) == .count)' --arg robust "$robust"
+    done
+done
+fits "$outliers"' | .options = {loss: "chi2", robust: "huber", robust_threshold: 2} | .dataset.channels[0].scans[] |= (.sigma = [.brdf[] | 0.02 * .])'
+holds "robust chi2 with a threshold" '.channels[0].loss.robust_threshold == 2'
+fits '.options.robust_threshold = 2'
+answered "a threshold without a robust loss" 422
 fits '.options.loss = "l2"'
 holds "l2's loss is the rmse" '.channels[0].fits[0] | (.loss - .rmse | fabs) <= 1e-9 * .rmse'
 fits '.options.loss = "log"'
@@ -151,6 +182,9 @@ post_csv 'models=ward,phong&loss=chi2&seed=7&effort=draft&precision=double&time_
 answered "CSV with all columns and options" 200
 holds "CSV: channels" '[.channels[] | [.name, .wavelength_nm, .samples]] == [["a, b", 550, 155], ["red", 650.5, 155]]'
 holds "CSV: options" '.seed == 7 and .dataset.name == "two of them" and all(.channels[]; .fits | length == 2)'
+post_csv 'models=ward&loss=cosine&cos_theta_i_exponent=1&cos_theta_r_exponent=2&robust=huber&robust_threshold=1.5' "$work/scan.csv"
+holds "CSV: exponents and a robust loss" '.channels[0].loss | .cos_theta_i_exponent == 1 and .cos_theta_r_exponent == 2
+    and .robust == "huber" and .robust_threshold == 1.5'
 post_csv 'models=ward&unit=relative' "$work/scan.csv" -H 'Content-Type: Text/CSV; charset=utf-8'
 answered "content type with a parameter" 200
 holds "CSV: unit" '.dataset.unit == "relative"'

@@ -88,5 +88,59 @@ TEST(EveryLoss, OfDarknessIsFinite) {
     }
 }
 
+TEST(Cosine, WeighsWithPowersOfBothCosines) {
+    Criterion loss = Loss::cosine;
+    const Channel channel = three_samples();
+    EXPECT_EQ(weigh(channel, loss).weight, weigh(channel, Loss::cosine_l2).weight);  // 0 and 1 are the defaults
+    loss.cos_theta_r_exponent = 0;
+    EXPECT_EQ(weigh(channel, loss).weight, weigh(channel, Loss::l2).weight);
+    loss.cos_theta_i_exponent = 3;  // the same at every sample: no difference
+    for (const double weight : weigh(channel, loss).weight) EXPECT_NEAR(weight, 1.0 / 3, 1e-15);
+    loss.cos_theta_r_exponent = -2;  // 1, 4, 4
+    EXPECT_NEAR(weigh(channel, loss).weight[0], 1.0 / 9, 1e-15);
+    EXPECT_NEAR(weigh(channel, loss).weight[1], 4.0 / 9, 1e-15);
+}
+
+Criterion robust_form(Loss kind, Robust robust) {
+    Criterion loss = kind;
+    loss.robust = robust;
+    return loss;
+}
+
+TEST(RobustLosses, AreSquaresForSmallResiduals) {
+    for (const Robust robust : {Robust::huber, Robust::cauchy}) {
+        const Weighted w = weigh(three_samples(), robust_form(Loss::l2, robust), 1e6);
+        EXPECT_NEAR(w.norm, weigh(three_samples(), Loss::l2).norm, 1e-10);
+        const Influence small = w.influence(w.scale * w.scale * 1e-12);
+        EXPECT_NEAR(small.loss / (w.scale * w.scale * 1e-12), 1, 1e-11);
+        EXPECT_NEAR(small.weight, 1, 1e-11);
+        EXPECT_NEAR(small.slope, 1, 1e-11);
+    }
+}
+
+TEST(RobustLosses, TakeTheirScaleInTheUnitOfTheLoss) {
+    const Channel channel = three_samples();  // residuals 2 and 4 and -1 of f = 0, of which 4 is beyond 1.345 x 2
+    const Weighted w = weigh(channel, robust_form(Loss::l2, Robust::huber), 2.0);
+    const double bend = 1.345 * 2;
+    EXPECT_NEAR(w.norm * w.norm, (4 + bend * (2 * 4 - bend) + 1) / 3, 1e-13);
+    EXPECT_NEAR(scale_in_loss(channel, robust_form(Loss::l2, Robust::huber), w.scale), 2, 1e-14);
+}
+
+TEST(RobustLosses, SlopeAndWeightAreThoseOfTheLoss) {
+    for (const Robust robust : {Robust::huber, Robust::cauchy}) {
+        const Weighted w = weigh(three_samples(), robust_form(Loss::cosine_l2, robust), 0.7);
+        for (const double z : {0.1, 1.0, 1.3, 1.4, 2.3, 2.5, 10.0, 1e4}) {
+            const double size = z * w.scale;
+            const auto loss = [&](double x) { return w.influence(x * x).loss; };
+            const double h = 1e-4 * size;
+            const Influence at = w.influence(size * size);
+            // d loss/d size = 2 weight size, and its slope 2 psi'.
+            EXPECT_NEAR((loss(size + h) - loss(size - h)) / (2 * h), 2 * at.weight * size, 1e-5 * size) << z;
+            EXPECT_NEAR((loss(size + h) - 2 * loss(size) + loss(size - h)) / (h * h), 2 * at.slope, 1e-4) << z;
+            EXPECT_LE(at.loss, size * size * (1 + 1e-15)) << z;
+        }
+    }
+}
+
 }  // namespace
 }  // namespace brdfit::optim

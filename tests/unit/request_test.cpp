@@ -168,6 +168,9 @@ TEST(Request, RefusesWrongTypes) {
 TEST(Request, RefusesValues) {
     expect_code("/dataset/unit", "sr", "unknown_value");
     expect_code("/options/loss", "l3", "unknown_value");
+    expect_code("/options/robust", "tukey", "unknown_value");
+    expect_code("/options/robust_threshold", 0.1, "out_of_range");
+    expect_code("/options/cos_theta_r_exponent", 4.1, "out_of_range");
     expect_code("/options/effort", "", "unknown_value");
     expect_code("/options/precision", "half", "unknown_value");
     expect_code("/dataset/name", std::string(201, 'x'), "too_long");
@@ -213,7 +216,29 @@ TEST(Request, RefusesWhatDoesNotGoTogether) {
                    {"/models/1/fixed/k_d out_of_range", "/models/1/fixed/k_d out_of_range"});
     expect_refused("/models/1/fixed/n_1", 5, {"/models/1/bounds/n_1 contradiction"});
     expect_missing(kScan, "sigma", "/options/loss needs_sigma");
+    for (const char* key : {"cos_theta_i_exponent", "cos_theta_r_exponent", "robust_threshold"})  // beside chi2
+        expect_code(std::string("/options/") + key, 2, "contradiction");
+    expect_refused("/options", {{"loss", "cosine_l2"}, {"cos_theta_r_exponent", 1}},
+                   {"/options/cos_theta_r_exponent contradiction"});
     expect_refused("/models/0", "he_torrance", {"/dataset/channels/1 too_few_samples"});
+}
+
+TEST(Request, TakesExponentsAndRobustForms) {
+    json request = whole();
+    request["options"] = {
+        {"loss", "cosine"}, {"cos_theta_r_exponent", -1}, {"robust", "huber"}, {"robust_threshold", 2}};
+    const optim::Criterion loss = read(request).options.loss;
+    EXPECT_EQ(loss.kind, optim::Loss::cosine);
+    EXPECT_EQ(loss.cos_theta_i_power(), 0);
+    EXPECT_EQ(loss.cos_theta_r_power(), -1);
+    EXPECT_EQ(loss.robust, optim::Robust::huber);
+    EXPECT_EQ(loss.threshold(), 2);
+    // At grazing angles a negative exponent would leave a sample alone.
+    request["dataset"]["channels"][0]["scans"][0]["theta_r_deg"][0] = -89.5;
+    EXPECT_EQ(errors_of(refusal_of([&] { (void)read(request); })),
+              std::vector<std::string>{"/options/cos_theta_r_exponent out_of_range"});
+    request["options"]["cos_theta_r_exponent"] = 1;
+    EXPECT_NO_THROW((void)read(request));
 }
 
 TEST(Request, CountsSamplesAgainstFreeParameters) {

@@ -3,6 +3,7 @@
 
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <string>
 
 #include <gmock/gmock.h>
@@ -76,7 +77,7 @@ TEST(Response, HasItsMembersInOrder) {
     EXPECT_THAT(keys(body["device"]), ElementsAre("name", "platform", "type", "precision"));
     EXPECT_THAT(keys(body["links"]), ElementsAre("self", "result", "plots"));
     const Json& channel = body["channels"][0];
-    EXPECT_THAT(keys(channel), ElementsAre("name", "wavelength_nm", "samples", "fits", "failures"));
+    EXPECT_THAT(keys(channel), ElementsAre("name", "wavelength_nm", "samples", "loss", "fits", "failures"));
     const Json& fit = channel["fits"][0];
     EXPECT_THAT(keys(fit), ElementsAre("rank", "model", "lobes", "parameters", "loss", "relative_loss", "rmse",
                                        "log10_rmse", "aicc", "bic", "scans", "search", "links"));
@@ -122,6 +123,27 @@ TEST(Response, LeavesOutWhatDoesNotApply) {
     EXPECT_EQ(more["fits"][0]["scale"], 3.0);
     EXPECT_EQ(more["fits"][0]["warnings"], Json::array({"a"}));
     EXPECT_EQ(more["warnings"], Json::array({"b"}));
+}
+
+TEST(Response, SaysUnderWhichLoss) {
+    optim::Report r = report();
+    EXPECT_EQ(answer(r)["channels"][0]["loss"], Json::parse(R"({"name": "cosine_l2", "robust": "none"})"));
+    EXPECT_FALSE(answer(r)["channels"][0]["fits"][0].contains("outliers"));
+    r.loss = optim::Loss::cosine;
+    r.loss.cos_theta_i_exponent = 0.5;
+    r.loss.robust = optim::Robust::cauchy;
+    r.channels[0].robust_scale = 0.25;
+    std::vector<std::size_t> samples(150);
+    std::iota(samples.begin(), samples.end(), std::size_t{3});
+    r.channels[0].fits[0].outliers = optim::Outliers{samples, 0.5};
+    const Json channel = answer(r)["channels"][0];
+    EXPECT_EQ(channel["loss"], Json::parse(R"({"name": "cosine", "cos_theta_i_exponent": 0.5,
+        "cos_theta_r_exponent": 1.0, "robust": "cauchy", "robust_threshold": 2.385, "robust_scale": 0.25})"));
+    const Json outliers = channel["fits"][0]["outliers"];
+    EXPECT_EQ(outliers["count"], 150);
+    EXPECT_EQ(outliers["fraction"], 0.5);
+    EXPECT_EQ(outliers["samples"].size(), 100U);
+    EXPECT_EQ(outliers["samples"][0], 3);
 }
 
 TEST(Response, NeverWritesANumberThatIsNotFinite) {
