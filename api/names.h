@@ -47,6 +47,11 @@ inline constexpr std::array<Named<optim::StopReason>, 5> kStopReasons{{
     {optim::StopReason::roundoff, "roundoff", "round-off stopped progress; the point is usable"},
     {optim::StopReason::cancelled, "cancelled", "the request was withdrawn"},
 }};
+inline constexpr std::array<Named<optim::Requirement>, 3> kRequirements{{
+    {optim::Requirement::energy_conserving, "energy_conserving", "no directional albedo above 1"},
+    {optim::Requirement::reciprocal, "reciprocal", "f(u, v) = f(v, u)"},
+    {optim::Requirement::nonnegative, "nonnegative", "no value below 0"},
+}};
 inline constexpr const auto& kLosses = optim::kLossNames;
 
 /// The value that an entry of a table names.

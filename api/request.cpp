@@ -42,6 +42,22 @@ void read_time_limit(const json& value, const Place& place, FitOptions& out) {
     else out.time_limit = std::chrono::duration<double>(*number);
 }
 
+void read_require(const json& value, const Place& place, FitOptions& out) {
+    if (!value.is_array()) return place.fail("wrong_type", "must be an array of: " + names_of(kRequirements));
+    for (std::size_t i = 0; i < value.size(); ++i) {
+        const auto requirement = read_choice(value[i], place.at(i), kRequirements);
+        if (!requirement) continue;
+        if (std::find(out.require.begin(), out.require.end(), *requirement) != out.require.end())
+            place.at(i).fail("duplicate", "is required twice");
+        else out.require.push_back(*requirement);
+    }
+}
+
+void read_judge(const json& value, const Place& place, FitOptions& out) {
+    if (!value.is_boolean()) place.fail("wrong_type", "must be true or false");
+    else out.judge = value.get<bool>();
+}
+
 const std::vector<Field<FitOptions>> kOptionFields{
     {"loss", false, "what is minimised",
      [](const json& v, const Place& p, FitOptions& out) {
@@ -55,6 +71,8 @@ const std::vector<Field<FitOptions>> kOptionFields{
      [](const json& v, const Place& p, FitOptions& out) { out.precision = read_precision(v, p); }},
     {"seed", false, "of the starts; the same seed gives the same result", read_seed},
     {"time_limit_s", false, "of the whole request, in seconds", read_time_limit},
+    {"require", false, "what a fit must keep to", read_require},
+    {"judge", false, "also held-out errors, albedo and physics", read_judge},
 };
 
 // ---- models ----
@@ -343,8 +361,16 @@ void finish(const RawRequest& raw, const kernels::Catalogue& catalogue, FitReque
     refuse_if_any(std::move(errors));
 }
 
-/// A query parameter's text as JSON: a number where it is one.
+/// "a,b,c" of a query.
+std::vector<std::string> names_in(const std::string& text) {
+    std::vector<std::string> names;
+    boost::algorithm::split(names, text, [](char c) { return c == ','; });
+    return names;
+}
+
+/// A query parameter's text as JSON: a number or a truth value where it is one.
 json query_value(const std::string& text) {
+    if (text == "true" || text == "false") return text == "true";
     double number = 0;
     const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
     if (error == std::errc{} && end == text.data() + text.size() && std::isfinite(number)) return number;
@@ -379,10 +405,9 @@ FitRequest read_fit_request_csv(std::string_view body, const Query& query, const
         const auto is_key = [&key = key](const auto& field) { return field.key == key; };
         if (query.count(key) > 1) root.at(key).fail("duplicate_key", "the query parameter stands twice");
         else if (key == "models") {
-            std::vector<std::string> names;
-            boost::algorithm::split(names, value, [](char c) { return c == ','; });
-            models = names;
+            models = names_in(value);
         } else if (key == "unit" || key == "name") dataset[key] = value;
+        else if (key == "require") options[key] = names_in(value);
         else if (std::any_of(kOptionFields.begin(), kOptionFields.end(), is_key)) options[key] = query_value(value);
         else {
             std::string names = "models, unit, name";
