@@ -52,6 +52,11 @@ inline constexpr std::array<Named<optim::Robust>, 3> kRobusts{{
     {optim::Robust::huber, "huber", "squares up to robust_threshold, straight lines beyond"},
     {optim::Robust::cauchy, "cauchy", "logarithms beyond robust_threshold: a far outlier hardly counts"},
 }};
+inline constexpr std::array<Named<optim::Requirement>, 3> kRequirements{{
+    {optim::Requirement::energy_conserving, "energy_conserving", "no directional albedo above 1"},
+    {optim::Requirement::reciprocal, "reciprocal", "f(u, v) = f(v, u)"},
+    {optim::Requirement::nonnegative, "nonnegative", "no value below 0"},
+}};
 inline constexpr const auto& kLosses = optim::kLossNames;
 
 /// The value that an entry of a table names.

@@ -27,6 +27,7 @@ constexpr double kLargestSeed = 9007199254740991;  // 2^53 - 1: exact in every J
 constexpr double kLongestTime_s = 3600;
 constexpr std::size_t kMostModels = 50;
 constexpr std::string_view kSceneKeys = "scene.";  // members of the scene in a query
+constexpr std::string_view kRequireKey = "require";
 
 // ---- options ----
 
@@ -59,7 +60,25 @@ std::optional<std::string> bad_threshold(double value) {
 constexpr std::string_view kLossKey = "loss";
 constexpr std::string_view kExponentIKey = "cos_theta_i_exponent";
 constexpr std::string_view kExponentRKey = "cos_theta_r_exponent";
+constexpr std::string_view kRobustKey = "robust";
 constexpr std::string_view kThresholdKey = "robust_threshold";
+
+void read_require(const json& value, const Place& place, FitOptions& out) {
+    if (!value.is_array()) return place.fail("wrong_type", "must be an array of: " + names_of(kRequirements));
+    for (std::size_t i = 0; i < value.size(); ++i) {
+        const auto requirement = read_choice(value[i], place.at(i), kRequirements);
+        if (!requirement) continue;
+        if (std::find(value.begin(), value.end(), value[i]) != value.begin() + static_cast<std::ptrdiff_t>(i))
+            place.at(i).fail("duplicate", "is required twice");
+        else if (std::find(out.require.begin(), out.require.end(), *requirement) == out.require.end())
+            out.require.push_back(*requirement);  // options and scene may both ask for it
+    }
+}
+
+void read_judge(const json& value, const Place& place, FitOptions& out) {
+    if (!value.is_boolean()) place.fail("wrong_type", "must be true or false");
+    else out.judge = value.get<bool>();
+}
 
 const std::vector<Field<FitOptions>> kOptionFields{
     {kLossKey, false, "what is minimised",
@@ -74,7 +93,7 @@ const std::vector<Field<FitOptions>> kOptionFields{
      [](const json& v, const Place& p, FitOptions& out) {
          out.loss.cos_theta_r_exponent = read_checked(v, p, bad_exponent);
      }},
-    {"robust", false, "what takes the place of the loss's squares, against outliers",
+    {kRobustKey, false, "what takes the place of the loss's squares, against outliers",
      [](const json& v, const Place& p, FitOptions& out) {
          if (const auto robust = read_choice(v, p, kRobusts)) out.loss.robust = *robust;
      }},
@@ -90,47 +109,50 @@ const std::vector<Field<FitOptions>> kOptionFields{
      [](const json& v, const Place& p, FitOptions& out) { out.precision = read_precision(v, p); }},
     {"seed", false, "of the starts; the same seed gives the same result", read_seed},
     {"time_limit_s", false, "of the whole request, in seconds", read_time_limit},
+    {kRequireKey, false, "what a fit must keep to", read_require},
+    {"judge", false, "also held-out errors, albedo and physics", read_judge},
 };
 
 // ---- scene ----
 
 constexpr double kLargestTolerance_log10 = 10;
 
-Field<Scene> angles_field(std::string_view key, std::string_view doc, Interval Scene::*angles) {
-    return {key, false, doc, [=](const json& v, const Place& p, Scene& out) {
+Field<FitOptions> angles_field(std::string_view key, std::string_view doc, Interval Scene::*angles) {
+    return {key, false, doc, [=](const json& v, const Place& p, FitOptions& out) {
                 if (!v.is_array() || v.size() != 2 || !v[0].is_number() || !v[1].is_number())
                     return p.fail("wrong_type", "must be [low, high]");
                 const Interval interval{v[0].get<double>(), v[1].get<double>()};
                 if (!(0 <= interval.min && interval.min <= interval.max && interval.max <= 90))
                     return p.fail("out_of_range", "must be 0 <= low <= high <= 90");
-                out.*angles = interval;
+                (*out.scene).*angles = interval;
             }};
 }
 
-const std::vector<Field<Scene>> kSceneFields{
+const std::vector<Field<FitOptions>> kSceneFields{
     angles_field("theta_i_deg", "incidence angles that the scene sees, [low, high]", &Scene::theta_i_deg),
     angles_field("theta_r_deg", "exitant angles that the scene sees, without sign, [low, high]", &Scene::theta_r_deg),
     {"outside_weight", false, "weight of a sample outside, where one within has 1; 0: left out",
-     [](const json& v, const Place& p, Scene& out) {
+     [](const json& v, const Place& p, FitOptions& out) {
          const auto number = read_number(v, p);
          if (!number) return;
          if (!(*number >= 0 && *number < 1)) p.fail("out_of_range", "must lie in [0, 1)");
-         else out.outside_weight = *number;
+         else out.scene->outside_weight = *number;
      }},
     {"tolerance_log10", false, "the largest root mean square error that is good enough, in decades",
-     [](const json& v, const Place& p, Scene& out) {
+     [](const json& v, const Place& p, FitOptions& out) {
          const auto number = read_number(v, p);
          if (!number) return;
          if (!(*number > 0 && *number <= kLargestTolerance_log10)) p.fail("out_of_range", "must lie in (0, 10]");
-         else out.tolerance_log10 = *number;
+         else out.scene->tolerance_log10 = *number;
      }},
     {"max_ns_per_evaluation", false, "the most that an evaluation may cost on this device, in nanoseconds",
-     [](const json& v, const Place& p, Scene& out) {
+     [](const json& v, const Place& p, FitOptions& out) {
          const auto number = read_number(v, p);
          if (!number) return;
          if (!(*number > 0)) p.fail("out_of_range", "must be above 0");
-         else out.max_ns_per_evaluation = *number;
+         else out.scene->max_ns_per_evaluation = *number;
      }},
+    {kRequireKey, false, "what a fit must keep to, as options.require", read_require},
 };
 
 // ---- models ----
@@ -401,6 +423,10 @@ void check_loss(const FitRequest& request, const Place& options) {
     };
     check_exponent(kExponentIKey, loss.cos_theta_i_exponent, &kernels::Direction::theta_i_deg);
     check_exponent(kExponentRKey, loss.cos_theta_r_exponent, &kernels::Direction::theta_r_deg);
+    const auto& require = request.options.require;
+    if (loss.robust != optim::Robust::none &&
+        std::find(require.begin(), require.end(), optim::Requirement::energy_conserving) != require.end())
+        options.at(kRobustKey).fail("contradiction", "what must conserve energy is fitted under squares alone");
     if (loss.robust_threshold && loss.robust == optim::Robust::none)
         options.at(kThresholdKey).fail("contradiction", "belongs to robust losses alone: give robust as well");
 }
@@ -473,21 +499,29 @@ void finish(const RawRequest& raw, const kernels::Catalogue& catalogue, FitReque
         for (const kernels::Family& family : catalogue.families()) request.models.push_back({&family, {}, {}, {}});
     if (raw.options != nullptr)
         read_object<FitOptions>(*raw.options, root.at("options"), kOptionFields, request.options);
-    if (raw.scene != nullptr)
-        read_object<Scene>(*raw.scene, root.at("scene"), kSceneFields, request.options.scene.emplace());
+    if (raw.scene != nullptr) {
+        request.options.scene.emplace();
+        read_object<FitOptions>(*raw.scene, root.at("scene"), kSceneFields, request.options);
+    }
     if (errors.empty()) check_together(request, raw.models != nullptr, root);
     refuse_if_any(std::move(errors));
 }
 
-/// A query parameter's text as JSON: a number where it is one, and numbers where commas are between.
+/// "a,b,c" of a query.
+std::vector<std::string> names_in(const std::string& text) {
+    std::vector<std::string> names;
+    boost::algorithm::split(names, text, [](char c) { return c == ','; });
+    return names;
+}
+
+/// A query parameter's text as JSON: a number or a truth value where it is one, an array where commas are between.
 json query_value(const std::string& text) {
     if (text.find(',') != std::string::npos) {
-        std::vector<std::string> parts;
-        boost::algorithm::split(parts, text, [](char c) { return c == ','; });
         json values = json::array();
-        for (const std::string& part : parts) values.push_back(query_value(part));
+        for (const std::string& part : names_in(text)) values.push_back(query_value(part));
         return values;
     }
+    if (text == "true" || text == "false") return text == "true";
     double number = 0;
     const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
     if (error == std::errc{} && end == text.data() + text.size() && std::isfinite(number)) return number;
@@ -523,10 +557,11 @@ FitRequest read_fit_request_csv(std::string_view body, const Query& query, const
         const auto is_key = [&key = key](const auto& field) { return field.key == key; };
         if (query.count(key) > 1) root.at(key).fail("duplicate_key", "the query parameter stands twice");
         else if (key == "models") {
-            std::vector<std::string> names;
-            boost::algorithm::split(names, value, [](char c) { return c == ','; });
-            models = names;
+            models = names_in(value);
         } else if (key == "unit" || key == "name") dataset[key] = value;
+        else if (key == kRequireKey) options[key] = names_in(value);
+        else if (key == std::string(kSceneKeys) + std::string(kRequireKey))
+            scene[std::string(kRequireKey)] = names_in(value);
         else if (std::any_of(kOptionFields.begin(), kOptionFields.end(), is_key)) options[key] = query_value(value);
         else if (key.starts_with(kSceneKeys)) scene[key.substr(kSceneKeys.size())] = query_value(value);
         else {

@@ -63,6 +63,30 @@ Json loss_json(const optim::Criterion& loss, const std::optional<double>& robust
     return json;
 }
 
+Json albedo_json(const std::vector<optim::DirectionalAlbedo>& albedos) {
+    Json json = Json::array();
+    for (const optim::DirectionalAlbedo& albedo : albedos)
+        json.push_back(
+            {{"theta_i_deg", albedo.theta_i_deg}, {"value", number(albedo.value)}, {"error", number(albedo.error)}});
+    return json;
+}
+
+Json physics_json(const optim::Physics& physics) {
+    return {{"energy_conserving", physics.energy_conserving ? Json(*physics.energy_conserving) : Json(nullptr)},
+            {"max_albedo", number(physics.max_albedo)},
+            {"at_theta_i_deg", number(physics.at_theta_i_deg)},
+            {"reciprocal", physics.reciprocal},
+            {"nonnegative", physics.nonnegative}};
+}
+
+Json constrained_json(const optim::Constrained& constrained, double loss) {
+    Json require = Json::array();
+    for (const optim::Requirement requirement : constrained.require)
+        require.push_back(name_of(kRequirements, requirement));
+    const double ratio = loss == constrained.loss_without ? 1 : loss / constrained.loss_without;
+    return {{"require", require}, {"loss_without", number(constrained.loss_without)}, {"loss_ratio", number(ratio)}};
+}
+
 Json fit_json(const optim::Fit& fit, const std::string& plot_link) {
     Json json{{"rank", fit.rank}, {"model", fit.model}};
     if (fit.lobes > 0) json["lobes"] = fit.lobes;
@@ -81,6 +105,11 @@ Json fit_json(const optim::Fit& fit, const std::string& plot_link) {
         json["scans"].push_back(
             {{"theta_i_deg", scan.theta_i_deg}, {"rmse", number(scan.rmse)}, {"log10_rmse", number(scan.log10_rmse)}});
     if (fit.outliers) json["outliers"] = outliers_json(*fit.outliers);
+    if (fit.physics) {
+        json["albedo"] = albedo_json(fit.albedo);
+        json["physics"] = physics_json(*fit.physics);
+    }
+    if (fit.constrained) json["constrained"] = constrained_json(*fit.constrained, fit.loss);
     json["search"] = {{"starts", fit.search.starts},
                       {"agreed", fit.search.agreed},
                       {"evaluations", fit.search.evaluations},

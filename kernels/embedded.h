@@ -16,6 +16,8 @@ std::span<const EmbeddedModel> embedded_models();
 
 extern const std::string_view kPreludeText;
 extern const std::string_view kSpecialText;
+extern const std::string_view kParametersText;
 extern const std::string_view kResidualText;
+extern const std::string_view kHemisphereText;
 
 }  // namespace brdfit::kernels

@@ -86,16 +86,30 @@ DeviceError device_error(const cl::Error& error) {
     return DeviceError(std::string(error.what()) + " failed with OpenCL code " + std::to_string(error.err()));
 }
 
-std::string program_text(const Model& model, Precision precision, unsigned lanes, Accuracy accuracy, bool sliced) {
-    const auto part = [](std::string_view file, std::string_view text) {
-        return "#line 1 \"" + std::string(file) + "\"\n" + std::string(text) + "\n";
-    };
+namespace {
+
+std::string part(std::string_view file, std::string_view text) {
+    return "#line 1 \"" + std::string(file) + "\"\n" + std::string(text) + "\n";
+}
+
+/// Everything up to the kernels: vocabulary and model.
+std::string model_text(const Model& model, Precision precision, unsigned lanes, Accuracy accuracy, bool sliced) {
     return "#define REAL_IS_DOUBLE " + std::string(precision == Precision::double_precision ? "1" : "0") +
            "\n#define SEARCH_ACCURACY " + (accuracy == Accuracy::search ? "1" : "0") + "\n#define SLICED " +
            (sliced ? "1" : "0") + "\n#define LANES " + std::to_string(lanes) + "\n" + part("prelude.cl", kPreludeText) +
            part("geometry", geometry_prelude()) + part("special.cl", kSpecialText) +
            part(model.file + " header", model.prelude) + part(model.file, model.text) +
-           part("residual.cl", kResidualText);
+           part("parameters.cl", kParametersText);
+}
+
+}  // namespace
+
+std::string program_text(const Model& model, Precision precision, unsigned lanes, Accuracy accuracy, bool sliced) {
+    return model_text(model, precision, lanes, accuracy, sliced) + part("residual.cl", kResidualText);
+}
+
+std::string hemisphere_text(const Model& model, Precision precision, unsigned lanes) {
+    return model_text(model, precision, lanes, Accuracy::full, false) + part("hemisphere.cl", kHemisphereText);
 }
 
 unsigned Engine::Impl::native_lanes(Precision precision) const {
@@ -116,7 +130,7 @@ std::optional<std::string> Engine::Impl::refusal(Precision precision) const {
     return it == withdrawn.end() ? std::nullopt : std::optional(it->second);
 }
 
-ProgramSource Engine::Impl::source(const Model& model, Precision precision, Accuracy accuracy) const {
+std::string Engine::Impl::flags(Precision precision) const {
     std::string flags = "-cl-std=CL1.2";
     if (precision == Precision::single_precision) {
         flags += " -cl-single-precision-constant";
@@ -124,12 +138,27 @@ ProgramSource Engine::Impl::source(const Model& model, Precision precision, Accu
             flags += " -cl-fp32-correctly-rounded-divide-sqrt";
     }
     if (!options.build_options.empty()) flags += " " + options.build_options;
-    return {program_text(model, precision, lanes(precision), accuracy, sliced()), flags};
+    return flags;
+}
+
+ProgramSource Engine::Impl::source(const Model& model, Precision precision, Accuracy accuracy) const {
+    return {program_text(model, precision, lanes(precision), accuracy, sliced()), flags(precision)};
+}
+
+ProgramSource Engine::Impl::hemisphere_source(const Model& model, Precision precision) const {
+    return {hemisphere_text(model, precision, lanes(precision)), flags(precision)};
 }
 
 cl::Program Engine::Impl::program(const Model& model, Precision precision, Accuracy accuracy) {
+    return program(model, precision, source(model, precision, accuracy));
+}
+
+cl::Program Engine::Impl::hemisphere_program(const Model& model, Precision precision) {
+    return program(model, precision, hemisphere_source(model, precision));
+}
+
+cl::Program Engine::Impl::program(const Model& model, Precision precision, const ProgramSource& source) {
     if (const auto reason = refusal(precision)) throw PrecisionError(*reason);
-    const ProgramSource source = this->source(model, precision, accuracy);
     {
         const std::lock_guard lock(mutex);
         if (const auto it = programs.find(source.text); it != programs.end()) return it->second;
@@ -203,6 +232,9 @@ void Engine::build_ahead(std::span<const Family> families, std::span<const Preci
         for (const Model& model : family.variants)
             for (const Precision precision : precisions) {
                 sources.push_back(impl_->source(model, precision, Accuracy::full));
+                if (usable() && precision == best_precision())
+                    sources.push_back(impl_->hemisphere_source(
+                        model, model.sums_series() ? quickest_precision() : precision));  // optim/physics.h
                 if (model.begins_quickly() && usable() && precision == best_precision())
                     sources.push_back(impl_->source(model, quickest_precision(), model.first_accuracy()));
             }

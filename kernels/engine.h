@@ -123,4 +123,7 @@ void build_programs(const std::string& device, const std::filesystem::path& fold
 std::string program_text(const Model& model, Precision precision, unsigned lanes, Accuracy accuracy = Accuracy::full,
                          bool sliced = false);
 
+/// The kernels of kernels/hemisphere.h for a model, likewise.
+std::string hemisphere_text(const Model& model, Precision precision, unsigned lanes);
+
 }  // namespace brdfit::kernels

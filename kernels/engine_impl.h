@@ -28,8 +28,14 @@ struct Engine::Impl {
     [[nodiscard]] unsigned lanes(Precision precision) const { return lanes_chosen.at(precision); }
     [[nodiscard]] std::optional<std::string> refusal(Precision precision) const;
     [[nodiscard]] ProgramSource source(const Model& model, Precision precision, Accuracy accuracy) const;
-    /// Throws PrecisionError, BuildError, DeviceError.
+    [[nodiscard]] ProgramSource hemisphere_source(const Model& model, Precision precision) const;
+    /// These throw PrecisionError, BuildError, DeviceError.
     cl::Program program(const Model& model, Precision precision, Accuracy accuracy);
+    cl::Program hemisphere_program(const Model& model, Precision precision);
+
+private:
+    [[nodiscard]] std::string flags(Precision precision) const;
+    cl::Program program(const Model& model, Precision precision, const ProgramSource& source);
 };
 
 /// What tune() has kept for this device, if anything; see kernels/tuning.h.

@@ -11,8 +11,7 @@
 #include <boost/geometry/geometries/point_xy.hpp>
 #include <boost/geometry/geometries/polygon.hpp>
 
-#include "kernels/engine_impl.h"
-#include "kernels/waiting.h"
+#include "kernels/transfers.h"
 
 namespace brdfit::kernels {
 namespace {
@@ -23,52 +22,6 @@ constexpr std::size_t kScratchBytes = std::size_t{64} << 20;
 constexpr std::size_t kSlice = 16;
 /// Work-items of a work-group of a GPU.
 constexpr std::size_t kGroup = 64;
-/// Most work-items of a launch on a CPU; each has scratch of its own.
-constexpr unsigned kMostCores = 8;
-
-std::size_t size_of(Precision precision) {
-    return precision == Precision::double_precision ? sizeof(double) : sizeof(float);
-}
-
-/// What an event of a queue stands for.
-class UntilEvent : public Underway {
-public:
-    explicit UntilEvent(cl::Event event) : event_(std::move(event)) {}
-
-    void when_over(void (*done)(void*), void* context) override {
-        done_ = done;
-        context_ = context;
-        event_.setCallback(
-            CL_COMPLETE,
-            [](cl_event, cl_int, void* self) {
-                const auto& until = *static_cast<const UntilEvent*>(self);
-                until.done_(until.context_);
-            },
-            this);
-    }
-
-private:
-    cl::Event event_;
-    void (*done_)(void*) = nullptr;
-    void* context_ = nullptr;
-};
-
-}  // namespace
-
-namespace {
-
-/// Filled as it is made: no command that would wait behind others' launches.
-cl::Buffer constant_buffer(const cl::Context& context, Precision precision, std::span<const double> values) {
-    constexpr cl_mem_flags kFlags = CL_MEM_READ_ONLY | CL_MEM_COPY_HOST_PTR;
-    if (values.empty()) return {context, CL_MEM_READ_ONLY, size_of(precision)};
-    if (precision == Precision::double_precision) {
-        std::vector<double> copy(values.begin(), values.end());  // the call takes no constants
-        return {context, kFlags, copy.size() * sizeof(double), copy.data()};
-    }
-    std::vector<float> single(values.begin(), values.end());
-    return {context, kFlags, single.size() * sizeof(float), single.data()};
-}
-
 }  // namespace
 
 struct DirectionSet::Impl {
@@ -136,18 +89,15 @@ std::vector<std::pair<double, double>> DirectionSet::hull(std::size_t a, std::si
     return impl_->hull(a, b);
 }
 
-/// Buffers hold `scalar`s; the host side is double. One conversion each way, here.
-struct Evaluator::Impl {
+struct Evaluator::Impl : Transfers {
     Impl(Engine& engine, const Model& model_in, Precision precision_in, const DirectionSet& directions,
          std::span<const double> y, std::span<const double> w, Accuracy accuracy)
-        : shared(engine.impl()),
+        : Transfers(engine, precision_in),
           model(model_in),
-          precision(precision_in),
           lanes(shared.lanes(precision)),
           count(directions.directions().size()),
           padded((count + lanes - 1) / lanes * lanes),
-          nonlinear(model.nonlinear().size()),
-          queue(shared.context, shared.device) {
+          nonlinear(model.nonlinear().size()) {
         const cl::Program program = shared.program(model, precision, accuracy);
         project = cl::Kernel(program, sliced ? "keep_terms" : "project");
         project_value = cl::Kernel(program, sliced ? "keep_values" : "project_value");
@@ -182,63 +132,6 @@ struct Evaluator::Impl {
         terms.setArg(1, static_cast<cl_int>(padded));
     }
 
-    /// Makes the buffer at least that many scalars large.
-    void reserve(cl::Buffer& buffer, std::size_t scalars) const {
-        const std::size_t bytes = std::max<std::size_t>(scalars, 1) * size_of(precision);
-        if (buffer() == nullptr || buffer.getInfo<CL_MEM_SIZE>() < bytes)
-            buffer = cl::Buffer(shared.context, CL_MEM_READ_WRITE, bytes);
-    }
-
-    /// `values` must stay as they are until the next download() returns.
-    void upload(cl::Buffer& buffer, std::span<const double> values) {
-        reserve(buffer, values.size());
-        if (values.empty()) return;
-        const cl_bool blocking = waiter_of_thread() == nullptr ? CL_TRUE : CL_FALSE;
-        if (precision == Precision::double_precision) {
-            queue.enqueueWriteBuffer(buffer, blocking, 0, values.size_bytes(), values.data());
-        } else {
-            single_up.assign(values.begin(), values.end());
-            queue.enqueueWriteBuffer(buffer, blocking, 0, single_up.size() * sizeof(float), single_up.data());
-        }
-    }
-
-    /// Returns when all that was enqueued is over.
-    void download(const cl::Buffer& buffer, std::span<double> values) {
-        if (precision == Precision::double_precision) {
-            read(buffer, values.size_bytes(), values.data());
-        } else {
-            single_down.resize(values.size());
-            read(buffer, single_down.size() * sizeof(float), single_down.data());
-            std::copy(single_down.begin(), single_down.end(), values.begin());
-        }
-    }
-
-    void read(const cl::Buffer& buffer, std::size_t bytes, void* to) {
-        Waiter* const waiter = waiter_of_thread();
-        if (waiter == nullptr) {
-            queue.enqueueReadBuffer(buffer, CL_TRUE, 0, bytes, to);
-            return;
-        }
-        cl::Event event;
-        queue.enqueueReadBuffer(buffer, CL_FALSE, 0, bytes, to, nullptr, &event);
-        queue.flush();
-        UntilEvent until(event);
-        waiter->wait(until);
-        if (const cl_int status = event.getInfo<CL_EVENT_COMMAND_EXECUTION_STATUS>(); status < 0)
-            throw cl::Error(status, "a launch");
-    }
-
-    /// Does `work`, which enqueues and downloads; if it fails, nothing is left under way in this evaluator's memory.
-    template <typename Work>
-    void guarded(const Work& work) {
-        try {
-            work();
-        } catch (...) {
-            ::clFinish(queue());  // that it fails, too, is no news
-            throw;
-        }
-    }
-
     [[nodiscard]] std::size_t in_stride() const { return model.parameters.size() + 2 * model.terms.size(); }
     [[nodiscard]] std::size_t normals() const {
         const std::size_t unknowns = model.terms.size() + nonlinear;
@@ -268,13 +161,9 @@ struct Evaluator::Impl {
         return std::max<std::size_t>(1, kScratchBytes / std::max<std::size_t>(scalars * size_of(precision), 1));
     }
 
-    /// Work-items of a launch. On a CPU always the same number: PoCL 3.1 keeps a loaded kernel for each width of grid
-    /// but looks only at the kernel when it lets go of one, and two widths in two threads end the process
-    /// ("found->ref_count > 0"). It is one where that runs in this thread, other threads run other launches.
+    /// Work-items of a launch.
     [[nodiscard]] std::size_t width(std::size_t items) const {
-        if (shared.info.type == "cpu")
-            return shared.info.runs_inline ? 1 : std::min(shared.info.compute_units, kMostCores);
-        return std::min(items, launch_limit());
+        return shared.info.type == "cpu" ? cpu_width() : std::min(items, launch_limit());
     }
 
     void launch(const cl::Kernel& kernel, std::size_t items) {
@@ -386,21 +275,17 @@ struct Evaluator::Impl {
         }
     }
 
-    Engine::Impl& shared;
     const Model& model;
-    Precision precision;
     unsigned lanes;
     std::size_t count;
     std::size_t padded;
     std::size_t nonlinear;
     bool sliced = shared.sliced();
-    cl::CommandQueue queue;
     cl::Kernel project, project_value, loss, terms;
     cl::Kernel solve, sum, add;  // sliced only
     cl::Buffer columns_buffer, y_buffer, w_buffer;
     cl::Buffer in_buffer, scratch_buffer, out_buffer;
-    cl::Buffer products_buffer, sums_buffer;    // sliced only
-    std::vector<float> single_up, single_down;  // staging for conversions
+    cl::Buffer products_buffer, sums_buffer;  // sliced only
     std::vector<double> rows, results;
 };
 

@@ -26,14 +26,6 @@
 #define CHUNK 16
 #endif
 
-INLINED Params broadcast_parameters(global const scalar *parameters) {
-    Params p;
-    real *value = (real *)&p;
-    UNROLLED
-    for (int i = 0; i < PARAMETERS; ++i) value[i] = (real)(parameters[i]);
-    return p;
-}
-
 INLINED Geometry load_geometry(global const scalar *columns, int samples, int first) {
     Geometry s;
     real *value = (real *)&s;

@@ -15,8 +15,11 @@
 #include <boost/asio/thread_pool.hpp>
 
 #include "kernels/evaluator.h"
+#include "kernels/hemisphere.h"
 #include "optim/broker.h"
+#include "optim/constrained.h"
 #include "optim/optimum.h"
+#include "optim/physics.h"
 #include "optim/robust.h"
 #include "optim/statistics.h"
 
@@ -158,6 +161,22 @@ void add_curves(const Work& work, kernels::Precision precision, const Optimum& o
         std::transform(next, end, std::back_inserter(curve.brdf), [&](double value) { return value * optimum.scale; });
         next = end;
     }
+}
+
+/// Distinct incidence angles of the data, rising.
+std::vector<double> incidence_angles(const Channel& channel) {
+    std::set<double> angles;
+    for (const Sample& sample : channel.samples) angles.insert(sample.direction.theta_i_deg);
+    return {angles.begin(), angles.end()};
+}
+
+/// The physics of the reported parameters.
+void add_physics(const Work& work, bool scale_known, const Optimum& optimum, Fit& fit) {
+    Judgement judgement =
+        judge_physics(work.engine, *optimum.model, optimum.parameters, incidence_angles(work.channel), scale_known);
+    fit.albedo = std::move(judgement.albedo);
+    fit.physics = judgement.physics;
+    for (std::string& warning : judgement.warnings) fit.warnings.push_back(std::move(warning));
 }
 
 bool is_at_bound(const kernels::Parameter& parameter, bool linear, Interval bounds, double value) {
@@ -356,6 +375,7 @@ Fit describe(const Work& work, const Prepared& prepared, Optimum optimum, double
     add_parameters(work, precision, weighted, optimum, prepared.bounds, values, fit);
     if (weighted.robust != Robust::none) add_outliers(weighted, fit);
     add_curves(work, precision, optimum, fit);
+    if (work.options.judge || !work.options.require.empty()) add_physics(work, !prepared.by_convention, optimum, fit);
     fit.search = optimum.record;
     const double found =
         weighted.logarithmic ? std::sqrt(optimum.relative_loss2) : std::sqrt(optimum.relative_loss2) * weighted.norm;
@@ -370,6 +390,34 @@ Fit describe(const Work& work, const Prepared& prepared, Optimum optimum, double
         fit.warnings.push_back(
             "relative data do not determine this model's scale: by convention it is that of a white "
             "diffuser with the data's rms");
+    return fit;
+}
+
+/// The fit that keeps to what the request requires: this one, or one searched under the constraint. Throws SearchError
+/// where there is none.
+Fit required(const Work& work, const Prepared& prepared, const Task& task, const Optimum& optimum, double robust_scale,
+             Fit fit) {
+    const auto asked = [&](Requirement requirement) {
+        const auto& all = work.options.require;
+        return std::find(all.begin(), all.end(), requirement) != all.end();
+    };
+    const double loss_without = fit.loss;
+    const bool conserves = fit.physics->energy_conserving.value_or(false);
+    if (asked(Requirement::energy_conserving) && !conserves) {
+        if (prepared.by_convention)
+            throw SearchError("relative data do not determine this model's scale, nor whether it conserves energy");
+        fit = describe(work, prepared,
+                       energy_conserving_optimum(task, prepared.bounds, optimum, incidence_angles(work.channel)),
+                       robust_scale);
+        if (!fit.physics->energy_conserving.value_or(false))
+            throw SearchError("no parameters were found that conserve energy");
+        fit.warnings.push_back("standard errors take no account of the requirement");
+    }
+    if (asked(Requirement::reciprocal) && !fit.physics->reciprocal)
+        throw SearchError("the model is not reciprocal, which the request requires");
+    if (asked(Requirement::nonnegative) && !fit.physics->nonnegative)
+        throw SearchError("the model falls below 0, which the request forbids");
+    fit.constrained = Constrained{work.options.require, loss_without};
     return fit;
 }
 
@@ -472,6 +520,8 @@ Fit fit_model(const Work& work, const Beginning* beginning, double robust_scale)
         const bool last = lobes == work.request.most_lobes();
         if (automatic || last) {
             Fit next = describe(work, prepared, optimum, robust_scale);
+            if (!work.options.require.empty())
+                next = required(work, prepared, variant.task(work), optimum, robust_scale, std::move(next));
             if (automatic && fit && !(next.bic < fit->bic - kEvidence)) break;
             fit = std::move(next);
         }
@@ -716,6 +766,10 @@ void Fitter::warm_up(const Model& model) {
         (void)evaluator.terms(parameters);
     };
     run(engine_.best_precision(), kernels::Accuracy::full);
+    std::vector<double> parameters;
+    for (const kernels::Parameter& p : model.parameters) parameters.push_back(p.typical_max);
+    constexpr double kIncidence_deg[] = {45};
+    (void)kernels::Hemisphere(engine_, model, albedo_precision(engine_, model)).albedo(parameters, kIncidence_deg, 0.1);
     if (model.begins_quickly()) run(engine_.quickest_precision(), model.first_accuracy());
 }
 

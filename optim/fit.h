@@ -45,6 +45,7 @@ struct FitOptions {
     std::optional<kernels::Precision> precision{};  ///< none: the best that may be used
     std::uint64_t seed = 1;
     std::chrono::duration<double> time_limit{30};  ///< of the whole request
+    std::vector<Requirement> require{};            ///< each at most once; a model that cannot meet them is a failure
     bool judge = true;                             ///< also held-out errors, albedo and physics
     std::optional<Scene> scene{};                  ///< with one, simpler forms of the models are fitted as well
 

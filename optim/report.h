@@ -54,6 +54,33 @@ struct Outliers {
     double fraction = 0;               ///< of the samples that have a weight
 };
 
+/// What a fit may be required to keep to.
+enum class Requirement { energy_conserving, reciprocal, nonnegative };
+
+/// What a requirement costs.
+struct Constrained {
+    std::vector<Requirement> require;
+    double loss_without = 0;  ///< of the best fit without the requirement
+};
+
+/// The directional albedo of a fitted model: the integral of f cos theta_r over the exitant hemisphere.
+struct DirectionalAlbedo {
+    double theta_i_deg = 0;
+    std::optional<double> value{};  ///< none where it could not be computed within optim::kAlbedoTolerance
+    double error = 0;               ///< estimated; infinite without a value
+};
+
+/// What nature allows, and whether a fitted model keeps to it.
+struct Physics {
+    std::optional<bool> energy_conserving{};  ///< no albedo above 1; none where that could not be told
+    /// The largest albedo over the incidence angles from 0 to 89 degrees (further where the data go further), and
+    /// where it is; none where it could not be computed within its tolerance.
+    std::optional<double> max_albedo{};
+    std::optional<double> at_theta_i_deg{};
+    bool reciprocal = true;   ///< f(u, v) = f(v, u), as measured over a set of directions
+    bool nonnegative = true;  ///< at every direction looked at
+};
+
 /// One model fitted to one channel.
 struct Fit {
     std::size_t rank = 0;  ///< from 1, by loss
@@ -70,7 +97,10 @@ struct Fit {
     double bic = 0;
     std::vector<ScanError> scans;
     std::optional<double> ns_per_evaluation{};
-    std::optional<Outliers> outliers{};  ///< of a robust loss
+    std::optional<Outliers> outliers{};     ///< of a robust loss
+    std::vector<DirectionalAlbedo> albedo;  ///< at the incidence angles of the data; empty where it was not asked for
+    std::optional<Physics> physics{};       ///< likewise
+    std::optional<Constrained> constrained{};  ///< of a request with requirements, which the fit meets
     SearchRecord search;
     std::vector<std::string> warnings;
     /// The model at the reported parameters, times scale: what the plots draw and the errors measure.
