@@ -60,7 +60,6 @@ std::optional<std::string> bad_threshold(double value) {
 constexpr std::string_view kLossKey = "loss";
 constexpr std::string_view kExponentIKey = "cos_theta_i_exponent";
 constexpr std::string_view kExponentRKey = "cos_theta_r_exponent";
-constexpr std::string_view kRobustKey = "robust";
 constexpr std::string_view kThresholdKey = "robust_threshold";
 
 void read_require(const json& value, const Place& place, FitOptions& out) {
@@ -93,7 +92,7 @@ const std::vector<Field<FitOptions>> kOptionFields{
      [](const json& v, const Place& p, FitOptions& out) {
          out.loss.cos_theta_r_exponent = read_checked(v, p, bad_exponent);
      }},
-    {kRobustKey, false, "what takes the place of the loss's squares, against outliers",
+    {"robust", false, "what takes the place of the loss's squares, against outliers",
      [](const json& v, const Place& p, FitOptions& out) {
          if (const auto robust = read_choice(v, p, kRobusts)) out.loss.robust = *robust;
      }},
@@ -423,10 +422,6 @@ void check_loss(const FitRequest& request, const Place& options) {
     };
     check_exponent(kExponentIKey, loss.cos_theta_i_exponent, &kernels::Direction::theta_i_deg);
     check_exponent(kExponentRKey, loss.cos_theta_r_exponent, &kernels::Direction::theta_r_deg);
-    const auto& require = request.options.require;
-    if (loss.robust != optim::Robust::none &&
-        std::find(require.begin(), require.end(), optim::Requirement::energy_conserving) != require.end())
-        options.at(kRobustKey).fail("contradiction", "what must conserve energy is fitted under squares alone");
     if (loss.robust_threshold && loss.robust == optim::Robust::none)
         options.at(kThresholdKey).fail("contradiction", "belongs to robust losses alone: give robust as well");
 }

@@ -61,7 +61,7 @@ public:
           scale2_(task.weighted.norm > 0 ? task.weighted.norm * task.weighted.norm : 1),
           space_(task.model, bounds, Unknowns::all, task.scale, level_of(task), Charts::passed_over, &task.directions),
           evaluator_(task.engine, task.model, precision_, task.directions, task.weighted.y, task.weighted.weight),
-          loss_(evaluator_, space_, task.weighted.logarithmic ? 1 : scale2_, task.weighted.logarithmic),
+          loss_(evaluator_, space_, task.weighted.logarithmic ? 1 : scale2_, &task.weighted),
           hemisphere_(task.engine, task.model, precision_) {}
 
     [[nodiscard]] const SearchSpace& space() const { return space_; }
