@@ -367,7 +367,7 @@ TEST(RobustLosses, RecoverParametersThatOutliersHideFromSquares) {
             const char* form = robust == Robust::huber ? "huber" : "cauchy";
             std::printf("%-12s %-6s farthest parameter %.2f standard errors off; of the squares' fit %.0f\n",
                         name.c_str(), form, off, plainly_off);
-            EXPECT_LT(off, robust == Robust::huber ? 6 : 4) << name << " " << form;
+            EXPECT_LT(off, 4) << name << " " << form;
             EXPECT_GT(plainly_off, 20) << name << " " << form;
             EXPECT_EQ(fit.search.stop_reason, StopReason::converged) << name << " " << form;
             ASSERT_TRUE(fit.outliers);
