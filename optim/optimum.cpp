@@ -256,12 +256,12 @@ struct AllParameters {
     SpaceLoss loss;
 };
 
-/// Searches from the starts, and without an effort from nothing else.
 Optimum search_in_all(const Task& task, const std::vector<Interval>& bounds, double level,
-                      const std::vector<Start>& starts, std::optional<Effort> effort) {
+                      const std::vector<Start>& starts, Effort effort, bool from_starts_alone) {
     AllParameters all(task, bounds, level, task.weighted);
     SpaceLoss* const stage = &all.loss;
-    const SearchBudget allowed = effort ? budget(*effort, all.space.dimension(), task.model.repeats) : SearchBudget{};
+    const SearchBudget allowed =
+        from_starts_alone ? SearchBudget{} : budget(effort, all.space.dimension(), task.model.repeats);
     SearchResult found = search_space({&stage, 1}, allowed, task.control, all.points(starts));
     found.best.loss2 /= all.scale2;
     return optimum_at(task, all.space, found.best, found.record);
@@ -381,7 +381,7 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
     const Levels levels = levels_of(task);
     add_lit(task, bounds, levels, starts);
     const double level = level_of(task, levels);
-    Optimum optimum = search_in_all(task, bounds, level, starts, task.effort);
+    Optimum optimum = search_in_all(task, bounds, level, starts, task.effort, false);
     optimum.record.evaluations += found.optimum.record.evaluations;
     return finished(task, bounds, task.weighted, Unknowns::all, level, 1, std::move(optimum));
 }
@@ -438,9 +438,9 @@ Optimum find_robust_optimum(const Task& task, const std::vector<Interval>& bound
     std::vector<Start> starts = groundwork.starts;
     std::optional<Start> extension;
     if (smaller != nullptr) starts.push_back(extension.emplace(extended(task.model, *smaller)));
-    std::optional<Effort> effort = again(task.effort);
-    if (squares.y.size() > kThinAbove) effort.reset();  // nothing here is thinned, and the starts are good
-    Optimum optimum = search_in_all(task, bounds, level, starts, effort);
+    // Nothing here is thinned, and the starts are good.
+    const bool many = squares.y.size() > kThinAbove;
+    Optimum optimum = search_in_all(task, bounds, level, starts, again(task.effort), many);
     std::size_t evaluations = groundwork.evaluations;
     const double scale2 = scale2_of(task.weighted);
     // The squares that touch the loss at the best fit so far may lead to a better one.

@@ -121,18 +121,19 @@ Weighted reweighted(const Weighted& quadratic, const Weighted& robust, std::span
 
 PseudoValues pseudo_values(const Weighted& robust, const Residuals& residuals) {
     PseudoValues result{robust, residuals};
-    double slope = 0;
+    double weights = 0;
+    double slopes = 0;
     for (std::size_t j = 0; j < residuals.r.size(); ++j) {
+        if (!(robust.weight[j] > 0)) continue;
         const Influence influence = robust.influence(robust.weight[j] * residuals.r[j] * residuals.r[j]);
-        if (robust.weight[j] > 0) slope += influence.slope;
-        result.residuals.r[j] *= influence.weight;
+        weights += influence.weight;
+        slopes += influence.slope;
+        result.weighted.weight[j] *= influence.weight;
     }
-    // Not steeper than a fifth of a square's, where hardly any sample is ordinary.
-    const double mean = std::max(slope / static_cast<double>(std::max<std::size_t>(robust.used, 1)), 0.2);
-    for (std::size_t j = 0; j < residuals.r.size(); ++j) {
-        result.residuals.r[j] /= mean;
-        result.weighted.weight[j] *= mean;
-    }
+    // Not below a fifth, where hardly any sample is ordinary.
+    const double slope = weights > 0 ? std::max(slopes / weights, 0.2) : 1.0;
+    for (double& w : result.weighted.weight) w *= slope;
+    for (double& r : result.residuals.r) r /= slope;
     return result;
 }
 

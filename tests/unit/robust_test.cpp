@@ -35,16 +35,22 @@ TEST_P(RobustSums, AreTheKernelsWhereNothingIsAnOutlier) {
     const kernels::Model& model = *GetParam();
     const kernels::DirectionSet directions(tests::scan_directions({15, 45, 70}, 8));
     const std::vector<kernels::Direction> list(directions.directions().begin(), directions.directions().end());
+    std::vector<Interval> bounds;
+    for (const kernels::Parameter& p : model.parameters) bounds.push_back({p.min, p.max});
+    const SearchSpace space(model, bounds, Unknowns::nonlinear, {}, 1, Charts::used, &directions);
     Random random(7);
-    const Channel channel =
-        tests::make_channel(list, tests::model_values(model, random.typical_parameters(model), list));
+    std::vector<double> y;
+    for (std::size_t j = 0; j < list.size(); ++j) y.push_back(random.uniform(0.05, 0.5));
+    const Channel channel = tests::make_channel(list, y);
     for (const Loss kind : {Loss::cosine_l2, Loss::log}) {
         const Weighted weighted = weigh(channel, robust_form(kind, Robust::huber), 1e9);
         kernels::Evaluator evaluator(tests::engine(), model, tests::engine().best_precision(), directions, weighted.y,
                                      weighted.weight);
         std::vector<double> parameters, coefficients;
         for (int i = 0; i < 5; ++i) {
-            const std::vector<double> p = random.typical_parameters(model);
+            std::vector<double> u;  // of lobes no higher than 1 at any sample
+            for (const Interval& typical : space.typical()) u.push_back(random.uniform(typical.min, typical.max));
+            const std::vector<double> p = space.candidate(u).parameters;
             parameters.insert(parameters.end(), p.begin(), p.end());
             for (std::size_t t = 0; t < model.terms.size(); ++t) coefficients.push_back(random.uniform(0.1, 1));
         }
