@@ -483,6 +483,14 @@ Outcome try_fit(const Work& work) {
     }
 }
 
+void add_costs(kernels::CostBook& costs, const std::vector<ModelRequest>& models, Report& report) {
+    std::map<std::string, const kernels::Family*> families;
+    for (const ModelRequest& model : models) families[model.family->name] = model.family;
+    for (ChannelReport& channel : report.channels)
+        for (Fit& fit : channel.fits)
+            fit.cost = costs.cost(families.at(fit.model)->variant(std::max<std::size_t>(1, fit.lobes)));
+}
+
 std::vector<std::string> channel_warnings(const Channel& channel) {
     const auto dark = std::count_if(channel.samples.begin(), channel.samples.end(),
                                     [](const Sample& sample) { return sample.brdf <= 0; });
@@ -569,7 +577,7 @@ struct Fitter::Workers {
 };
 
 Fitter::Fitter(kernels::Engine& engine, unsigned threads)
-    : engine_(engine), workers_(std::make_unique<Workers>(engine, threads)) {}
+    : engine_(engine), costs_(engine), workers_(std::make_unique<Workers>(engine, threads)) {}
 
 Fitter::~Fitter() {
     if (workers_->pool) workers_->pool->join();
@@ -643,6 +651,7 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
         for (std::size_t i = 0; i < models.size(); ++i) outcomes.push_back((future++)->get());
         report.channels.push_back(rank(channel, std::move(outcomes)));
     }
+    if (options.judge) add_costs(costs_, models, report);
     return report;
 }
 

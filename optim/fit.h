@@ -87,10 +87,12 @@ public:
                std::stop_token stop = {});
 
     [[nodiscard]] kernels::Engine& engine() const { return engine_; }
+    [[nodiscard]] kernels::CostBook& costs() { return costs_; }
 
 private:
     struct Workers;
     kernels::Engine& engine_;
+    kernels::CostBook costs_;
     std::unique_ptr<Workers> workers_;
 };
 

@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "kernels/cost.h"
 #include "kernels/engine.h"
 #include "optim/dataset.h"
 
@@ -90,6 +91,7 @@ struct Fit {
     std::vector<DirectionalAlbedo> albedo;  ///< at the incidence angles of the data; empty where it was not asked for
     std::optional<Physics> physics{};       ///< likewise
     std::optional<Constrained> constrained{};  ///< of a request with requirements, which the fit meets
+    std::optional<kernels::Cost> cost{};  ///< of an evaluation on this device; none where judging was not asked for
     SearchRecord search;
     std::vector<std::string> warnings;
     /// The model at the reported parameters, times scale: what the plots draw and the errors measure.
