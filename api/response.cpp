@@ -87,6 +87,14 @@ Json constrained_json(const optim::Constrained& constrained, double loss) {
     return {{"require", require}, {"loss_without", number(constrained.loss_without)}, {"loss_ratio", number(ratio)}};
 }
 
+Json cost_json(const kernels::Cost& cost) {
+    Json json{{"single_ns", number(cost.single_ns)}, {"double_ns", number(cost.double_ns)}};
+    if (const auto& n = cost.operations)
+        json["operations"] = {
+            {"add", n->add}, {"multiply", n->multiply}, {"fma", n->fma}, {"divide", n->divide}, {"sqrt", n->sqrt}};
+    return json;
+}
+
 Json fit_json(const optim::Fit& fit, const std::string& plot_link) {
     Json json{{"rank", fit.rank}, {"model", fit.model}};
     if (fit.lobes > 0) json["lobes"] = fit.lobes;
@@ -110,6 +118,7 @@ Json fit_json(const optim::Fit& fit, const std::string& plot_link) {
         json["physics"] = physics_json(*fit.physics);
     }
     if (fit.constrained) json["constrained"] = constrained_json(*fit.constrained, fit.loss);
+    if (fit.cost) json["cost"] = cost_json(*fit.cost);
     json["search"] = {{"starts", fit.search.starts},
                       {"agreed", fit.search.agreed},
                       {"evaluations", fit.search.evaluations},
@@ -287,7 +296,17 @@ std::string to_json(const kernels::Catalogue& catalogue) {
     return text_of({{"models", models}});
 }
 
-std::string to_json(const kernels::Family& family) { return text_of(family_json(family)); }
+std::string to_json(const kernels::Family& family, std::span<const kernels::Cost> costs) {
+    Json json = family_json(family);
+    if (!costs.empty()) json["costs"] = Json::array();
+    for (std::size_t i = 0; i < costs.size(); ++i) {
+        Json cost = Json::object();
+        if (family.variants[i].repeats > 0) cost["lobes"] = family.variants[i].repeats;
+        cost.update(cost_json(costs[i]));
+        json["costs"].push_back(std::move(cost));
+    }
+    return text_of(json);
+}
 
 std::string to_json(std::span<const kernels::SelfTest> tests) { return text_of(self_tests_json(tests)); }
 

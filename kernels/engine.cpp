@@ -232,11 +232,11 @@ void Engine::build_ahead(std::span<const Family> families, std::span<const Preci
         for (const Model& model : family.variants)
             for (const Precision precision : precisions) {
                 sources.push_back(impl_->source(model, precision, Accuracy::full));
-                if (usable() && precision == best_precision())
-                    sources.push_back(impl_->hemisphere_source(
-                        model, model.sums_series() ? quickest_precision() : precision));  // optim/physics.h
-                if (model.begins_quickly() && usable() && precision == best_precision())
+                sources.push_back(impl_->hemisphere_source(model, precision));
+                if (model.begins_quickly() && usable() && precision == best_precision()) {
                     sources.push_back(impl_->source(model, quickest_precision(), model.first_accuracy()));
+                    if (model.sums_series()) sources.push_back(impl_->hemisphere_source(model, quickest_precision()));
+                }
             }
     impl_->builder->build_ahead(sources);
 }

@@ -59,22 +59,15 @@ INLINED Ray ray_of(Cell cell, real cosine, real sine) {
     return ray;
 }
 
-/* The geometry at r of a ray; left = end - r. */
-INLINED Geometry geometry_at(Cell cell, Ray ray, real r, real left) {
+/* The geometry of u = (-si, 0, ci) and v = (x, y, z), with from_mirror = x - si and above_mirror = z - ci. */
+INLINED Geometry geometry_of(real si, real ci, real x, real y, real z, real from_mirror, real above_mirror) {
     Geometry g;
-    const real along = cell.q * r * ray.cosine;
-    const real x = cell.m + along;
-    const real y = r * ray.sine;
-    const real from_mirror = cell.beside_mirror + along; /* x - sin theta_i */
-    const real z = sqrt(fmax(ray.A * (ray.rim - ray.end + left) * (r + ray.behind), (real)(TINY)));
-    g.ci = cell.ci;
+    g.ci = ci;
     g.cr = z;
-    g.cs = cell.ci + z;
-    g.ti = cell.si / cell.ci;
+    g.cs = ci + z;
+    g.ti = si / ci;
     g.tr = sqrt(sqr(x) + sqr(y)) / z;
     g.w = sqr(from_mirror) + sqr(y);
-    /* z - cos theta_i, from the difference of the squares */
-    const real above_mirror = (cell.m2_below_mirror - r * (2.0 * ray.B + ray.A * r)) / g.cs;
     const real near = 0.5 * (g.w + sqr(above_mirror)); /* 1 - cos alpha */
     const real cosine = 1.0 - near;
     const mask visible = cosine > TINY;
@@ -82,15 +75,25 @@ INLINED Geometry geometry_at(Cell cell, Ray ray, real r, real left) {
     g.log_cos_alpha = sel(visible, log_plain(bounded) - ((bounded - 1.0) + near) / bounded, -1e30);
     g.tan2 = g.w / sqr(g.cs);
     g.cd2 = 0.25 * (g.w + sqr(g.cs));
-    g.sd2 = 0.25 * (sqr(x + cell.si) + sqr(y) + sqr(above_mirror));
+    g.sd2 = 0.25 * (sqr(x + si) + sqr(y) + sqr(above_mirror));
     g.G = sqr(4.0 * g.cd2 / g.cs);
-    const Wide hxy = product_of((real)(-cell.si), x);
-    const Wide hz = product_of((real)cell.ci, z);
+    const Wide hxy = product_of(-si, x);
+    const Wide hz = product_of(ci, z);
     g.hxy = hxy.high;
     g.hxy_low = hxy.low;
     g.hz = hz.high;
     g.hz_low = hz.low;
     return g;
+}
+
+/* The same at r of a ray; left = end - r. */
+INLINED Geometry geometry_at(Cell cell, Ray ray, real r, real left) {
+    const real along = cell.q * r * ray.cosine;
+    const real z = sqrt(fmax(ray.A * (ray.rim - ray.end + left) * (r + ray.behind), (real)(TINY)));
+    /* z - cos theta_i, from the difference of the squares */
+    const real above_mirror = (cell.m2_below_mirror - r * (2.0 * ray.B + ray.A * r)) / (cell.ci + z);
+    return geometry_of((real)(cell.si), (real)(cell.ci), cell.m + along, r * ray.sine, z, cell.beside_mirror + along,
+                       above_mirror);
 }
 
 INLINED real combined(const real *term, global const scalar *c) {
@@ -195,4 +198,27 @@ kernel void probe(int cells, global const scalar *in, global scalar *out) {
             }
         }
     }
+}
+
+/* What a renderer does, to be timed: values at pairs of directions given as unit vectors, geometry included. Columns
+ * sin theta_i, cos theta_i, x, y, z, each `samples` long, a multiple of LANES; in candidates x (TERMS + PARAMETERS);
+ * out: a sum for each work-item, so that nothing is left out. */
+kernel void value(global const scalar *columns, int samples, int candidates, global const scalar *in,
+                  global scalar *out) {
+    real sum = 0.0;
+    for (int i = 0; i < candidates; ++i) {
+        global const scalar *row = in + (size_t)i * (TERMS + PARAMETERS);
+        const Params p = broadcast_parameters(row + TERMS);
+        for (int first = (int)get_global_id(0) * LANES; first < samples; first += (int)get_global_size(0) * LANES) {
+            const real si = load_lanes(columns + first);
+            const real ci = load_lanes(columns + samples + first);
+            const real x = load_lanes(columns + 2 * samples + first);
+            const real y = load_lanes(columns + 3 * samples + first);
+            const real z = load_lanes(columns + 4 * samples + first);
+            Terms terms;
+            brdf(p, geometry_of(si, ci, x, y, z, x - si, z - ci), &terms);
+            sum += combined((const real *)&terms, row);
+        }
+    }
+    out[get_global_id(0)] = sum_lanes(sum);
 }

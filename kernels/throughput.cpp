@@ -2,38 +2,15 @@
 
 #include <algorithm>
 #include <cmath>
-#include <ctime>
-#include <limits>
 #include <random>
 
 #include "kernels/embedded.h"
 #include "kernels/engine_impl.h"
 #include "kernels/evaluator.h"
+#include "kernels/stopwatch.h"
 
 namespace brdfit::kernels {
 namespace {
-
-using Clock = std::chrono::steady_clock;
-
-/// Seconds: on a CPU, where a launch of one work-item takes one core, of processor time, which other programs do not
-/// lengthen; elsewhere of the wall clock.
-double now(const DeviceInfo& device) {
-    if (device.type == "cpu") return static_cast<double>(std::clock()) / CLOCKS_PER_SEC;
-    return std::chrono::duration<double>(Clock::now().time_since_epoch()).count();
-}
-
-/// The shortest time of a call [s].
-template <class Work>
-double seconds_of(const DeviceInfo& device, std::chrono::duration<double> each, Work work) {
-    double shortest = std::numeric_limits<double>::infinity();
-    const auto end = Clock::now() + each;
-    for (int i = 0; i < 3 || Clock::now() < end; ++i) {
-        const double start = now(device);
-        work();
-        shortest = std::min(shortest, now(device) - start);
-    }
-    return shortest;
-}
 
 /// Several chains a work-item, so that none waits for its own last result.
 constexpr const char* kExpsText = R"(
@@ -65,7 +42,7 @@ double exps_per_s(Engine::Impl& shared, Precision precision, std::chrono::durati
     const cl::Buffer out(shared.context, CL_MEM_READ_WRITE, items * sizeof(double));
     kernel.setArg(0, rounds);
     kernel.setArg(1, out);
-    const double seconds = seconds_of(shared.info, each, [&] {
+    const double seconds = shortest_s(shared.info, each, [&] {
         queue.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange(items), cl::NullRange);
         queue.finish();
     });
@@ -90,7 +67,7 @@ ModelRate rate_of(Engine& engine, const Model& model, Precision precision, std::
         const std::vector<double> lower(launch * t, 0.0);
         const std::vector<double> upper(launch * t, 1e6);
         Batch batch;
-        const double seconds = seconds_of(engine.device(), each, [&] {
+        const double seconds = shortest_s(engine.device(), each, [&] {
             for (std::size_t first = 0; first < candidates; first += launch)
                 evaluator.project(std::span(parameters).subspan(first * p, launch * p), lower, upper, true, batch);
         });

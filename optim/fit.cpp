@@ -573,6 +573,16 @@ auto attempt(const Work& work, const Job& job) -> Outcome<decltype(job())> {
     }
 }
 
+void add_costs(kernels::CostBook& costs, const std::vector<ModelRequest>& models, Report& report) {
+    std::map<std::string, const kernels::Family*> families;
+    for (const ModelRequest& model : models) families[model.family->name] = model.family;
+    for (ChannelReport& channel : report.channels)
+        for (Fit& fit : channel.fits) {
+            const kernels::Family& family = *families.at(fit.model);
+            fit.cost = costs.cost(family.variant(std::max<std::size_t>(1, fit.lobes), family.submodel(fit.submodel)));
+        }
+}
+
 std::vector<std::string> channel_warnings(const Channel& channel) {
     const auto dark = std::count_if(channel.samples.begin(), channel.samples.end(),
                                     [](const Sample& sample) { return sample.brdf <= 0; });
@@ -728,7 +738,7 @@ struct Fitter::Workers {
 };
 
 Fitter::Fitter(kernels::Engine& engine, unsigned threads)
-    : engine_(engine), workers_(std::make_unique<Workers>(engine, threads)) {}
+    : engine_(engine), costs_(engine), workers_(std::make_unique<Workers>(engine, threads)) {}
 
 Fitter::~Fitter() {
     if (workers_->pool) workers_->pool->join();
@@ -829,9 +839,12 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
         const auto end = next + static_cast<std::ptrdiff_t>(forms.size());
         report.channels.push_back(
             rank(channels[c], distinct(forms, {std::make_move_iterator(next), std::make_move_iterator(end)})));
-        if (options.judge) judge_scene(options.scene.value_or(Scene{}), report.channels.back());
         if (std::isfinite(scales[c])) report.channels.back().robust_scale = scales[c];
         next = end;
+    }
+    if (options.judge) {
+        add_costs(costs_, models, report);
+        for (ChannelReport& channel : report.channels) judge_scene(options.scene.value_or(Scene{}), channel);
     }
     return report;
 }

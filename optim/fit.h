@@ -94,6 +94,7 @@ public:
                std::stop_token stop = {});
 
     [[nodiscard]] kernels::Engine& engine() const { return engine_; }
+    [[nodiscard]] kernels::CostBook& costs() { return costs_; }
 
 private:
     void warm_up(const kernels::Model& model);
@@ -102,6 +103,7 @@ private:
 
     struct Workers;
     kernels::Engine& engine_;
+    kernels::CostBook costs_;
     std::unique_ptr<Workers> workers_;
 };
 

@@ -42,7 +42,9 @@ const kernels::DirectionSet& exchanged_pairs() {
     return set;
 }
 
-bool is_exact(const Albedo& albedo) { return albedo.error <= kAlbedoTolerance * std::max(1.0, std::abs(albedo.value)); }
+bool is_exact(const Albedo& albedo) {
+    return std::isfinite(albedo.error) && albedo.error <= kAlbedoTolerance * std::max(1.0, std::abs(albedo.value));
+}
 
 /// At most kMostAlbedos of them.
 std::vector<double> told(std::span<const double> theta_i_deg) {

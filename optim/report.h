@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "kernels/cost.h"
 #include "kernels/engine.h"
 #include "optim/dataset.h"
 #include "optim/loss.h"
@@ -96,11 +97,11 @@ struct Fit {
     std::optional<double> aicc{};        ///< none with too few samples for the correction
     double bic = 0;
     std::vector<ScanError> scans;
-    std::optional<double> ns_per_evaluation{};
     std::optional<Outliers> outliers{};     ///< of a robust loss
     std::vector<DirectionalAlbedo> albedo;  ///< at the incidence angles of the data; empty where it was not asked for
     std::optional<Physics> physics{};       ///< likewise
     std::optional<Constrained> constrained{};  ///< of a request with requirements, which the fit meets
+    std::optional<kernels::Cost> cost{};  ///< of an evaluation on this device; none where judging was not asked for
     SearchRecord search;
     std::vector<std::string> warnings;
     /// The model at the reported parameters, times scale: what the plots draw and the errors measure.

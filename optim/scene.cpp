@@ -20,12 +20,18 @@ std::size_t free_parameters(const Fit& fit) {
 
 std::string name_of(const Fit& fit) { return kernels::variant_name(fit.model, fit.lobes, fit.submodel); }
 
+/// What a renderer pays: in single precision, where the device has it.
+std::optional<double> ns_per_evaluation(const Fit& fit) {
+    if (!fit.cost) return std::nullopt;
+    return fit.cost->single_ns ? fit.cost->single_ns : fit.cost->double_ns;
+}
+
 /// The fits with a cost and an error, cheapest first.
 std::vector<ParetoPoint> by_cost(const std::vector<Fit>& fits) {
     std::vector<ParetoPoint> points;
     for (std::size_t i = 0; i < fits.size(); ++i)
-        if (fits[i].ns_per_evaluation && fits[i].log10_rmse)
-            points.push_back({i, *fits[i].ns_per_evaluation, *fits[i].log10_rmse});
+        if (const auto ns = ns_per_evaluation(fits[i]); ns && fits[i].log10_rmse)
+            points.push_back({i, *ns, *fits[i].log10_rmse});
     std::stable_sort(points.begin(), points.end(), [&](const ParetoPoint& a, const ParetoPoint& b) {
         return std::tuple(a.ns_per_evaluation, free_parameters(fits[a.fit]), a.log10_rmse) <
                std::tuple(b.ns_per_evaluation, free_parameters(fits[b.fit]), b.log10_rmse);

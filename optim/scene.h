@@ -31,7 +31,7 @@ Channel seen_by(const Scene& scene, Channel channel);
 /// A fit that no cheaper one equals in error. `fit` is its place in ChannelReport::fits.
 struct ParetoPoint {
     std::size_t fit = 0;
-    double ns_per_evaluation = 0;
+    double ns_per_evaluation = 0;  ///< Fit::cost in single precision, where the device has it, else in double
     double log10_rmse = 0;
 };
 

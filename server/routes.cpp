@@ -190,7 +190,10 @@ Response Routes::get_models(const std::string& name) const {
     if (family == nullptr)
         throw Refusal({404, "unknown-model", "there is no such model; valid are: " + catalogue_.names(), {}});
     Response response;
-    response.body = api::to_json(*family);
+    std::vector<kernels::Cost> costs;
+    if (fitter_.engine().usable())
+        for (const kernels::Model& model : family->variants) costs.push_back(fitter_.costs().cost(model));
+    response.body = api::to_json(*family, costs);
     return response;
 }
 

@@ -74,6 +74,15 @@ private:
     std::vector<kernels::SelfTest> found_;
 };
 
+/// Before a fit asks for them.
+void measure_costs(optim::Fitter& fitter, const kernels::Catalogue& catalogue, const std::stop_token& stop) try {
+    for (const kernels::Family& family : catalogue.families())
+        for (const kernels::Model& model : family.variants)
+            if (!stop.stop_requested()) (void)fitter.costs().cost(model);
+} catch (const std::exception& error) {
+    spdlog::error("costs were not measured: {}", error.what());
+}
+
 bool is_loopback(const std::string& host) { return host == "localhost" || host == "::1" || host.starts_with("127."); }
 
 }  // namespace
@@ -103,7 +112,10 @@ void serve(const ServeOptions& options) {
     tester.prove_best();
     if (engine.usable())
         for (const kernels::Family& family : catalogue.families()) fitter.warm_up(family);
-    const std::jthread others([&] { self_tests.set_value(tester.prove_others()); });
+    const std::jthread others([&] {
+        self_tests.set_value(tester.prove_others());
+        measure_costs(fitter, catalogue, stop.get_token());
+    });
     const auto stop_building = [&] { engine.stop_building(); };
     const std::stop_callback stopped(stop.get_token(), stop_building);
 

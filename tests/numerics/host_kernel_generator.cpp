@@ -1,5 +1,5 @@
 // Writes the kernel texts of all built-in models as one C++ source.
-// Call: host_kernel_generator double|single LANES OUTPUT
+// Call: host_kernel_generator double|single LANES OUTPUT, or host_kernel_generator counted 1 OUTPUT
 
 #include <fstream>
 #include <iostream>
@@ -15,10 +15,8 @@ namespace {
 
 using namespace brdfit;
 
-/// The model's text in a namespace; macros are undefined behind it.
-void write_model(std::ostream& out, const kernels::Model& model, bool is_double, unsigned lanes) {
-    const auto precision = is_double ? kernels::Precision::double_precision : kernels::Precision::single_precision;
-    const std::string text = kernels::program_text(model, precision, lanes);
+/// Macros that the text defines.
+std::set<std::string> macros_of(const std::string& text) {
     std::set<std::string> macros;
     std::istringstream lines(text);
     for (std::string line, word; std::getline(lines, line);) {
@@ -27,6 +25,14 @@ void write_model(std::ostream& out, const kernels::Model& model, bool is_double,
         if (words >> word && word == "#define" && words >> word && word.find('(') == std::string::npos)
             macros.insert(word);
     }
+    return macros;
+}
+
+/// The model's text in a namespace; macros are undefined behind it.
+void write_model(std::ostream& out, const kernels::Model& model, bool is_double, unsigned lanes) {
+    const auto precision = is_double ? kernels::Precision::double_precision : kernels::Precision::single_precision;
+    const std::string text = kernels::program_text(model, precision, lanes);
+    const std::set<std::string> macros = macros_of(text);
     out << "namespace " << tests::label(model) << " {\n"
         << text << R"(
 std::vector<double> run_terms(std::span<const double> columns, int samples, std::span<const double> parameters) {
@@ -63,16 +69,57 @@ std::vector<double> run_project(std::span<const double> columns, std::span<const
     for (const std::string& macro : macros) out << "#undef " << macro << '\n';
 }
 
+/// The model's value with what it takes, in a namespace.
+void write_counted(std::ostream& out, const kernels::Model& model) {
+    const std::string text = kernels::hemisphere_text(model, kernels::Precision::double_precision, 1);
+    out << "namespace " << tests::label(model) << " {\n"
+        << text << R"(
+double counted_value(std::span<const double> parameters, std::span<const double> coefficients,
+                     std::span<const double> vectors, double* counts) {
+    tape.entries.clear();
+    const auto given = [](double value) { return Counted(value, 0); };
+    Params p;
+    for (int i = 0; i < PARAMETERS; ++i) ((real *)&p)[i] = given(parameters[i]);
+    real c[TERMS];
+    for (int i = 0; i < TERMS; ++i) c[i] = given(coefficients[i]);
+    const real si = given(vectors[0]), ci = given(vectors[1]);
+    const real x = given(vectors[2]), y = given(vectors[3]), z = given(vectors[4]);
+    Terms terms;
+    brdf(p, geometry_of(si, ci, x, y, z, x - si, z - ci), &terms);
+    const real f = combined((const real *)&terms, c);
+    tape.count(f.place, counts);
+    return f.value;
+}
+}
+)";
+    for (const std::string& macro : macros_of(text)) out << "#undef " << macro << '\n';
+}
+
+void write_all_counted(std::ostream& out) {
+    out << "#define BRDFIT_COUNTED_KERNEL\n#define REAL_IS_DOUBLE 1\n#define LANES 1\n"
+           "#include \"tests/numerics/counted.h\"\nnamespace {\n";
+    for (const kernels::Model* model : tests::variants()) write_counted(out, *model);
+    out << "}\nnamespace brdfit::tests {\nstd::span<const CountedKernel> counted_kernels() {\n"
+           "    static const CountedKernel all[] = {\n";
+    for (const kernels::Model* model : tests::variants())
+        out << "        {\"" << tests::label(*model) << "\", " << tests::label(*model) << "::counted_value},\n";
+    out << "    };\n    return all;\n}\n}\n";
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
     if (argc != 4) {
-        std::cerr << "usage: host_kernel_generator double|single LANES OUTPUT\n";
+        std::cerr << "usage: host_kernel_generator double|single|counted LANES OUTPUT\n";
         return 2;
     }
     const std::string precision = argv[1];
     const auto lanes = static_cast<unsigned>(std::stoul(argv[2]));
     std::ofstream out(argv[3]);
+    if (precision == "counted") {
+        write_all_counted(out);
+        return out.good() ? 0 : 1;
+    }
     out << "#define BRDFIT_HOST_KERNEL\n#define REAL_IS_DOUBLE " << (precision == "double" ? 1 : 0)
         << "\n#define LANES " << lanes << "\n#include \"tests/numerics/host_kernel.h\"\nnamespace {\n";
     for (const kernels::Model* model : tests::variants()) write_model(out, *model, precision == "double", lanes);

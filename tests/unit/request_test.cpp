@@ -94,6 +94,17 @@ TEST(Request, HasDefaults) {
         EXPECT_EQ(request.models[i], (optim::ModelRequest{&catalogue().families()[i], {}, {}, {}}));
 }
 
+TEST(Request, ReadsRequirementsAndWhetherToJudge) {
+    json body = whole();
+    body["options"]["require"] = {"nonnegative", "energy_conserving"};
+    body["options"]["judge"] = false;
+    const FitRequest request = read(body);
+    using optim::Requirement;
+    EXPECT_EQ(request.options.require,
+              (std::vector<Requirement>{Requirement::nonnegative, Requirement::energy_conserving}));
+    EXPECT_FALSE(request.options.judge);
+}
+
 TEST(Request, RefusesUnknownKeys) {
     for (const std::string& parent : {std::string(), std::string("/dataset"), kChannel, kScan, kSamples,
                                       std::string("/models/1"), std::string("/options")})
@@ -173,6 +184,10 @@ TEST(Request, RefusesValues) {
     expect_code("/options/cos_theta_r_exponent", 4.1, "out_of_range");
     expect_code("/options/effort", "", "unknown_value");
     expect_code("/options/precision", "half", "unknown_value");
+    expect_code("/options/require", "reciprocal", "wrong_type");
+    expect_refused("/options/require", {"reciprocal", "fast"}, {"/options/require/1 unknown_value"});
+    expect_refused("/options/require", {"reciprocal", "reciprocal"}, {"/options/require/1 duplicate"});
+    expect_code("/options/judge", 1, "wrong_type");
     expect_code("/dataset/name", std::string(201, 'x'), "too_long");
     // In wavelengths too large for a double, in either channel; and an interval that is.
     const std::string tau = "/models/2/fixed/tau out_of_range";

@@ -20,7 +20,7 @@ Fit fit(const std::string& model, std::optional<double> ns, std::optional<double
     Fit result;
     result.model = model;
     result.submodel = submodel;
-    result.ns_per_evaluation = ns;
+    if (ns) result.cost = kernels::Cost{ns, {}, {}};
     result.log10_rmse = log10_rmse;
     result.parameters.resize(free_parameters);
     return result;
