@@ -86,6 +86,7 @@ public:
 
     [[nodiscard]] std::size_t evaluations() const { return evaluations_; }
     [[nodiscard]] const SearchSpace& space() const { return space_; }
+    [[nodiscard]] std::size_t samples() const { return evaluator_.samples(); }
 
 private:
     /// Evaluates points into batch_ and candidates_.
