@@ -160,13 +160,14 @@ cl::Program Engine::Impl::hemisphere_program(const Model& model, Precision preci
 cl::Program Engine::Impl::program(const Model& model, Precision precision, const ProgramSource& source) {
     if (const auto reason = refusal(precision)) throw PrecisionError(*reason);
     {
+        const std::tuple key(precision, accuracy, std::string_view(model.prelude), std::string_view(model.text));
         const std::lock_guard lock(mutex);
-        if (const auto it = programs.find(source.text); it != programs.end()) return it->second;
+        if (const auto it = programs.find(key); it != programs.end()) return it->second;
     }
     try {
-        const cl::Program program = builder->program(source);
+        const cl::Program program = builder->program(source(model, precision, accuracy));
         const std::lock_guard lock(mutex);
-        return programs.emplace(source.text, program).first->second;
+        return programs.emplace(std::tuple(precision, accuracy, model.prelude, model.text), program).first->second;
     } catch (const CompilerRefusal& refusal) {
         throw BuildError(model.file + " does not build for " + info.name + ":\n" + refusal.what());
     } catch (const cl::Error& error) {

@@ -3,6 +3,8 @@
 
 #include <map>
 #include <mutex>
+#include <string>
+#include <tuple>
 
 #include "kernels/engine.h"
 #include "kernels/opencl.h"
@@ -15,11 +17,12 @@ struct Engine::Impl {
     cl::Context context;
     DeviceInfo info;
     EngineOptions options;
-    std::optional<ProgramBuilder> builder;        // set from the constructor on
-    std::mutex mutex;                             // guards programs
-    std::map<std::string, cl::Program> programs;  // by program text and precision
-    mutable std::mutex withdrawn_mutex;           // guards withdrawn; not held while the compiler runs
-    std::map<Precision, std::string> withdrawn;   // why
+    std::optional<ProgramBuilder> builder;  // set from the constructor on
+    std::mutex mutex;                       // guards programs
+    /// By what differs in their texts, which are long.
+    std::map<std::tuple<Precision, Accuracy, std::string, std::string>, cl::Program, std::less<>> programs;
+    mutable std::mutex withdrawn_mutex;          // guards withdrawn; not held while the compiler runs
+    std::map<Precision, std::string> withdrawn;  // why
 
     std::map<Precision, unsigned> lanes_chosen;  // set from the constructor on
 

@@ -33,13 +33,13 @@ struct DirectionSet::Impl {
         cl::Buffer& buffer = buffers[{shared.context(), precision, padded}];
         if (buffer() != nullptr) return buffer;
         const auto table = geometry_columns();
-        const std::vector<long double>& unrounded = exact_columns();
-        const std::size_t n = unrounded.size() / table.size();
-        std::vector<double> values;
-        for (std::size_t i = 0; i < table.size(); ++i)
-            for (std::size_t j = 0; j < padded; ++j)
-                values.push_back(table[i].rounded(unrounded[i * n + std::min(j, n - 1)], precision));
-        return buffer = constant_buffer(shared.context, precision, values);
+        std::vector<double> values(table.size() * padded);
+        Angles angles{Direction{}};
+        for (std::size_t j = 0; j < padded; ++j) {
+            if (j < directions.size()) angles.turn(canonical(directions[j]));
+            for (std::size_t i = 0; i < table.size(); ++i) values[i * padded + j] = table[i].read(angles, precision);
+        }
+        return buffer = constant_buffer(shared.context, precision, std::move(values));
     }
 
     std::vector<std::pair<double, double>> hull(std::size_t a, std::size_t b) {
@@ -47,12 +47,15 @@ struct DirectionSet::Impl {
         std::vector<std::pair<double, double>>& corners = hulls[{a, b}];
         if (!corners.empty()) return corners;
         constexpr std::size_t kEnough = 4000;
-        const std::vector<long double>& unrounded = exact_columns();
-        const std::size_t n = unrounded.size() / geometry_columns().size();
         using Point = boost::geometry::model::d2::point_xy<double>;
         boost::geometry::model::multi_point<Point> points;
-        for (std::size_t j = 0; j < n; j += 1 + n / kEnough)
-            points.emplace_back(static_cast<double>(unrounded[a * n + j]), static_cast<double>(unrounded[b * n + j]));
+        const auto table = geometry_columns();
+        Angles angles{Direction{}};
+        for (std::size_t j = 0; j < std::max<std::size_t>(1, directions.size()); j += 1 + directions.size() / kEnough) {
+            if (j < directions.size()) angles.turn(canonical(directions[j]));
+            points.emplace_back(static_cast<double>(table[a].value(angles)),
+                                static_cast<double>(table[b].value(angles)));
+        }
         boost::geometry::model::polygon<Point> polygon;
         boost::geometry::convex_hull(points, polygon);
         for (const Point& point : polygon.outer()) corners.emplace_back(point.x(), point.y());
@@ -62,21 +65,7 @@ struct DirectionSet::Impl {
     std::vector<Direction> directions;
 
 private:
-    /// Every column's exact value at every direction, or at one of no interest where there is none. With the lock held.
-    const std::vector<long double>& exact_columns() {
-        if (!exact.empty()) return exact;
-        const auto table = geometry_columns();
-        const std::size_t n = std::max<std::size_t>(1, directions.size());
-        exact.resize(table.size() * n);
-        for (std::size_t j = 0; j < n; ++j) {
-            const Angles angles(canonical(directions.empty() ? Direction{} : directions[j]));
-            for (std::size_t i = 0; i < table.size(); ++i) exact[i * n + j] = table[i].value(angles);
-        }
-        return exact;
-    }
-
     std::mutex mutex;  // guards what follows
-    std::vector<long double> exact;
     std::map<std::pair<std::size_t, std::size_t>, std::vector<std::pair<double, double>>> hulls;
     std::map<std::tuple<cl_context, Precision, std::size_t>, cl::Buffer> buffers;
 };

@@ -11,31 +11,72 @@ namespace {
 constexpr long double kRadian = std::numbers::pi_v<long double> / 180;
 
 long double sqr(long double x) { return x * x; }
-long double sin_deg(long double degrees) { return std::sin(degrees * kRadian); }
-/// Accurate near 90 degrees, where cos of the rounded radians is not.
-long double cos_deg(long double degrees) {
-    const long double a = std::abs(degrees);
-    return a < 45 ? std::cos(a * kRadian) : std::sin((90 - a) * kRadian);
+
+/// sin of k degrees, k = 0 ... 90, by the smaller of k and 90 - k.
+std::array<long double, 91> sines() {
+    std::array<long double, 91> table{};
+    for (int k = 0; k <= 90; ++k)
+        table[static_cast<std::size_t>(k)] = k <= 45 ? std::sin(k * kRadian) : std::cos((90 - k) * kRadian);
+    return table;
 }
 
-/// 90 - (a + b) for a, b >= 0, exact where it is small.
-long double complement_of_sum(long double a, long double b) { return (90 - std::max(a, b)) - std::min(a, b); }
+struct SineCosine {
+    long double sine, cosine;
+};
+
+/// Of an angle in degrees, |x| <= 90, to the last digits also where one of them nearly vanishes: x less its nearest
+/// whole degree is exact, and of that remainder's powers those beyond the eighth are below 1e-22.
+SineCosine sine_cosine(long double x) {
+    static const std::array<long double, 91> kSine = sines();
+    const long double a = std::abs(x);
+    const int whole = static_cast<int>(static_cast<double>(a) + 0.5);
+    const long double s = kSine[static_cast<std::size_t>(whole)];
+    const long double c = kSine[static_cast<std::size_t>(90 - whole)];
+    const long double r = (a - whole) * kRadian;
+    const long double z = r * r;
+    const long double sin_r = r - r * z * (1 / 6.0L - z * (1 / 120.0L - z * (1 / 5040.0L)));
+    const long double cos_r_1 = -z * (0.5L - z * (1 / 24.0L - z * (1 / 720.0L)));
+    const long double sine = s + (c * sin_r + s * cos_r_1);
+    return {x < 0 ? -sine : sine, c + (c * cos_r_1 - s * sin_r)};
+}
 
 }  // namespace
 
 /// In long double, whose further bits (on x86) are for what sums of products lose when they nearly vanish. Sums and
-/// differences of angles are formed in degrees, where they are exact for nearby angles, and complements to 90 likewise.
-Angles::Angles(const Direction& d)
-    : sin_i(sin_deg(d.theta_i_deg)),
-      sin_r(sin_deg(d.theta_r_deg)),
-      cos_i(cos_deg(d.theta_i_deg)),
-      cos_r(cos_deg(d.theta_r_deg)),
-      cos_phi(cos_deg(d.phi_deg)),
-      lift(sin_i * sin_r * sqr(sin_deg(d.phi_deg / 2.0L))),
-      cos_sum_of_angles(sin_deg(complement_of_sum(d.theta_i_deg, std::abs(d.theta_r_deg)))),
-      sin_half_difference(sin_deg((static_cast<long double>(d.theta_r_deg) - d.theta_i_deg) / 2)),
-      sin_half_sum(sin_deg((static_cast<long double>(d.theta_r_deg) + d.theta_i_deg) / 2)),
-      cos_half_sum(sin_deg(((90 - static_cast<long double>(d.theta_i_deg)) + (90 - d.theta_r_deg)) / 2)) {}
+/// differences of angles are formed in degrees, where they are exact for nearby angles and where they are nearly 90.
+Angles::Angles(const Direction& direction) {
+    theta_i_deg_ = phi_deg_ = std::nan("");  // nothing is known yet
+    turn(direction);
+}
+
+void Angles::turn(const Direction& d) {
+    if (d.theta_i_deg != theta_i_deg_) {
+        theta_i_deg_ = d.theta_i_deg;
+        const SineCosine incident = sine_cosine(d.theta_i_deg);
+        sin_i = incident.sine;
+        cos_i = incident.cosine;
+    }
+    if (d.phi_deg != phi_deg_) {
+        phi_deg_ = d.phi_deg;
+        cos_phi = sine_cosine(d.phi_deg).cosine;
+        sin2_half_phi_ = sqr(sine_cosine(d.phi_deg / 2.0L).sine);
+    }
+    theta_r_deg_ = d.theta_r_deg;
+    const SineCosine exitant = sine_cosine(theta_r_deg_);
+    sin_r = exitant.sine;
+    cos_r = exitant.cosine;
+    const SineCosine half_sum = sine_cosine((theta_r_deg_ + theta_i_deg_) / 2);
+    sin_half_sum = half_sum.sine;
+    cos_half_sum = half_sum.cosine;
+    sin_half_difference = sine_cosine((theta_r_deg_ - theta_i_deg_) / 2).sine;
+    lift = sin_i * sin_r * sin2_half_phi_;
+}
+
+long double Angles::cos_sum_of_angles() const {
+    const long double a = theta_i_deg_;
+    const long double b = std::abs(theta_r_deg_);
+    return sine_cosine((90 - std::max(a, b)) - std::min(a, b)).sine;  // exact where it is small
+}
 
 namespace {
 
@@ -46,10 +87,15 @@ long double tangential_sum_squared(const Angles& d) {
 long double log_cos_alpha(const Angles& d) {
     const long double q = 2 * (sqr(d.sin_half_difference) + d.lift);  // 1 - cos alpha
     if (q < 0.5L) return std::log1p(-q);
-    // Two forms of cos alpha, beyond the normal each a difference: the one of the smaller terms.
-    const long double height = d.cos_i * d.cos_r;
-    const long double c = d.sin_r > 0 || height < std::abs(d.cos_sum_of_angles) ? height + d.sin_i * d.sin_r * d.cos_phi
-                                                                                : d.cos_sum_of_angles - 2 * d.lift;
+    const auto cosine = [&] {
+        const long double height = d.cos_i * d.cos_r;
+        const long double plain = height + d.sin_i * d.sin_r * d.cos_phi;
+        if (d.sin_r > 0) return plain;
+        // Beyond the normal two forms, each a difference: the one of the smaller terms.
+        const long double sum = d.cos_sum_of_angles();
+        return height < std::abs(sum) ? plain : sum - 2 * d.lift;
+    };
+    const long double c = cosine();
     return c > 0 ? std::log(c) : -1e30L;
 }
 
@@ -85,18 +131,13 @@ constexpr std::array kColumns{
 
 Direction canonical(const Direction& direction) {
     Direction d = direction;
-    d.phi_deg = std::abs(std::remainder(d.phi_deg, 360));
+    d.phi_deg = std::abs(d.phi_deg);
+    if (d.phi_deg > 180) d.phi_deg = std::abs(std::remainder(d.phi_deg, 360));
     if (d.phi_deg > 90) {
         d.phi_deg = 180 - d.phi_deg;
         d.theta_r_deg = -d.theta_r_deg;
     }
     return d;
-}
-
-double GeometryColumn::rounded(long double exact, Precision precision) const {
-    const bool single = precision == Precision::single_precision;
-    const double nearest = single ? static_cast<double>(static_cast<float>(exact)) : static_cast<double>(exact);
-    return part == Part::rounded ? nearest : static_cast<double>(exact - nearest);
 }
 
 std::span<const GeometryColumn> geometry_columns() { return kColumns; }

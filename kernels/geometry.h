@@ -23,15 +23,22 @@ struct Direction {
 /// phi does not matter.
 Direction canonical(const Direction& direction);
 
-/// What the columns of one canonical direction are made of.
-struct Angles {
+/// What the columns of one canonical direction are made of. Angles of both directions and the azimuth are at most 90.
+class Angles {
+public:
     explicit Angles(const Direction& direction);
+    /// Those of another direction; what does not change is not formed again.
+    void turn(const Direction& direction);
 
-    long double sin_i, sin_r, cos_i, cos_r, cos_phi;
-    long double lift;               ///< sin theta_i sin theta_r sin^2(phi/2): 0 in the plane of incidence
-    long double cos_sum_of_angles;  ///< cos(theta_i + |theta_r|)
-    long double sin_half_difference, sin_half_sum;  ///< of (theta_r -+ theta_i)/2
-    long double cos_half_sum;
+    long double sin_i = 0, sin_r = 0, cos_i = 0, cos_r = 0, cos_phi = 0;
+    long double lift = 0;                                   ///< sin theta_i sin theta_r sin^2(phi/2): 0 in the plane
+    long double sin_half_difference = 0, sin_half_sum = 0;  ///< of (theta_r -+ theta_i)/2
+    long double cos_half_sum = 0;
+    [[nodiscard]] long double cos_sum_of_angles() const;  ///< cos(theta_i + |theta_r|)
+
+private:
+    double theta_i_deg_, phi_deg_;
+    long double theta_r_deg_ = 0, sin2_half_phi_ = 0;
 };
 
 /// One geometry column: a member of the kernels' struct Geometry. Of a value that kernels subtract from its like, a
@@ -45,9 +52,11 @@ struct GeometryColumn {
     Part part = Part::rounded;
 
     /// What kernels of a precision read of value().
-    [[nodiscard]] double rounded(long double exact, Precision precision) const;
     [[nodiscard]] double read(const Angles& angles, Precision precision) const {
-        return rounded(value(angles), precision);
+        const long double exact = value(angles);
+        const bool single = precision == Precision::single_precision;
+        const double nearest = single ? static_cast<double>(static_cast<float>(exact)) : static_cast<double>(exact);
+        return part == Part::rounded ? nearest : static_cast<double>(exact - nearest);
     }
 };
 

@@ -39,13 +39,11 @@ std::size_t size_of(Precision precision) {
     return precision == Precision::double_precision ? sizeof(double) : sizeof(float);
 }
 
-cl::Buffer constant_buffer(const cl::Context& context, Precision precision, std::span<const double> values) {
+cl::Buffer constant_buffer(const cl::Context& context, Precision precision, std::vector<double> values) {
     constexpr cl_mem_flags kFlags = CL_MEM_READ_ONLY | CL_MEM_COPY_HOST_PTR;
     if (values.empty()) return {context, CL_MEM_READ_ONLY, size_of(precision)};
-    if (precision == Precision::double_precision) {
-        std::vector<double> copy(values.begin(), values.end());  // the call takes no constants
-        return {context, kFlags, copy.size() * sizeof(double), copy.data()};
-    }
+    if (precision == Precision::double_precision)
+        return {context, kFlags, values.size() * sizeof(double), values.data()};
     std::vector<float> single(values.begin(), values.end());
     return {context, kFlags, single.size() * sizeof(float), single.data()};
 }

@@ -13,7 +13,7 @@ namespace brdfit::kernels {
 std::size_t size_of(Precision precision);
 
 /// Filled as it is made: no command that would wait behind others' launches.
-cl::Buffer constant_buffer(const cl::Context& context, Precision precision, std::span<const double> values);
+cl::Buffer constant_buffer(const cl::Context& context, Precision precision, std::vector<double> values);
 
 /// Buffers hold `scalar`s; the host side is double. One conversion each way, here. Everything throws cl::Error. Where
 /// the calling thread has a Waiter (kernels/waiting.h), what would block is left to it.

@@ -103,17 +103,19 @@ std::vector<double> curve_angles(const Channel& channel, double theta_i_deg) {
         low = std::min(low, d.theta_r_deg);
         high = std::max(high, d.theta_r_deg);
     }
-    std::set<double> angles{low, high};
+    std::vector<double> angles{low, high};
     const auto add = [&](double from, double to, int steps) {
         for (int i = 0; i <= steps; ++i) {
             const double angle = from + (to - from) * i / steps;
-            if (angle >= low && angle <= high) angles.insert(angle);
+            if (angle >= low && angle <= high) angles.push_back(angle);
         }
     };
     add(low, high, 160);
     add(theta_i_deg - 5, theta_i_deg + 5, 100);
     add(theta_i_deg - 0.5, theta_i_deg + 0.5, 50);
-    return {angles.begin(), angles.end()};
+    std::sort(angles.begin(), angles.end());
+    angles.erase(std::unique(angles.begin(), angles.end()), angles.end());
+    return angles;
 }
 
 /// What of a channel depends on directions alone; channels with the same directions share it.

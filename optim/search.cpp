@@ -171,10 +171,14 @@ constexpr DescentGoal kExactGoal{1e-11, 1e-26, 100};
 constexpr int kExchangeRounds = 4;
 /// Of NLopt's SLSQP from each of the last ends, in all parameters.
 constexpr int kFurtherEvaluations = 300;
-/// Ends whose loss^2 is this near to the best are worth polishing ...
-constexpr double kPolishWithin = 1.02;
-/// ... so many of them.
-constexpr std::size_t kPolished = 3;
+/// Ends whose loss^2 is this near to the best are worth polishing, so many of them: found with other samples, or with
+/// the same ones, when an end of kQuickGoal is known that well.
+struct Polish {
+    double within;
+    std::size_t most;
+};
+constexpr Polish kOtherSamples{1.02, 3};
+constexpr Polish kSameSamples{1.0005, 2};
 
 }  // namespace
 
@@ -227,13 +231,13 @@ SearchBudget budget(Effort effort, std::size_t dimension, std::size_t lobes) {
 }
 
 void SpaceLoss::evaluate(std::span<const std::vector<double>> points, bool gradient) {
-    candidates_.clear();
+    candidates_.resize(points.size());
     parameters_.clear();
     lower_.clear();
     upper_.clear();
-    for (const std::vector<double>& u : points) {
-        candidates_.push_back(space_.candidate(u));
-        const Candidate& at = candidates_.back();
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        Candidate& at = candidates_[i];
+        space_.place(points[i], at);
         parameters_.insert(parameters_.end(), at.parameters.begin(), at.parameters.end());
         lower_.insert(lower_.end(), at.lower.begin(), at.lower.end());
         upper_.insert(upper_.end(), at.upper.begin(), at.upper.end());
@@ -377,11 +381,14 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
 
     result.minima = distinct_ends(ends, 1e-2);
     const std::vector<Minimum> searched = ends;
+    std::size_t samples = quick.samples();
     for (SpaceLoss* const stage : stages.last(std::max<std::size_t>(1, stages.size() - 1))) {
+        const Polish polish = stage->samples() == samples ? kSameSamples : kOtherSamples;
+        samples = stage->samples();
         const std::vector<Minimum> best = distinct_ends(ends, 1e-2);
         std::vector<std::vector<double>> from;
         for (const Minimum& end : best)
-            if (from.empty() || (from.size() < kPolished && end.loss2 <= kPolishWithin * best.front().loss2))
+            if (from.empty() || (from.size() < polish.most && end.loss2 <= polish.within * best.front().loss2))
                 from.push_back(end.u);
         ends.clear();
         descend_from(*stage, from);

@@ -89,6 +89,7 @@ public:
     [[nodiscard]] std::size_t evaluations() const { return evaluations_; }
     [[nodiscard]] const SearchSpace& space() const { return space_; }
     [[nodiscard]] bool robust() const { return form_ != nullptr && form_->robust != Robust::none; }
+    [[nodiscard]] std::size_t samples() const { return evaluator_.samples(); }
 
 private:
     [[nodiscard]] bool logarithmic() const { return form_ != nullptr && form_->logarithmic; }

@@ -31,11 +31,13 @@ class Axis {
 public:
     virtual ~Axis() = default;
     [[nodiscard]] virtual std::size_t dimension() const { return 1; }
-    virtual void apply(std::span<const double> u, Candidate& out) const = 0;
-    virtual void gradient(std::span<const double> u, const Candidate& at, std::span<const double> by_parameter,
+    /// Numbers that apply() leaves for fold() and gradient(), which are called many times for a candidate.
+    [[nodiscard]] virtual std::size_t notes() const { return 1; }
+    virtual void apply(std::span<const double> u, Candidate& out, std::span<double> notes) const = 0;
+    virtual void gradient(std::span<const double> notes, std::span<const double> by_parameter,
                           std::span<const double> by_coefficient, std::span<double> by_u) const = 0;
     /// Adds to by_parameter what a parameter of another axis moves in this one, bounds of coefficients included.
-    virtual void fold(std::span<const double> /*u*/, const Candidate&, std::span<const double> /*coefficients*/,
+    virtual void fold(std::span<const double> /*notes*/, const Candidate&, std::span<const double> /*coefficients*/,
                       std::span<const double> /*by_coefficient*/, std::span<double> /*by_parameter*/) const {}
     /// Turns a candidate's parameters into the model's: only a lobe's height has work to do.
     virtual void finish(std::span<const double> /*coefficients*/, std::vector<double>& /*parameters*/) const {}
@@ -63,12 +65,13 @@ public:
     LevelAxis(std::size_t index, Interval bounds, double level)
         : index_(index), bounds_(bounds), level_(level, std::min(bounds.max - bounds.min, kLargestCoefficient)) {}
 
-    void apply(std::span<const double> u, Candidate& out) const override {
+    void apply(std::span<const double> u, Candidate& out, std::span<double> notes) const override {
         out.parameters[index_] = std::clamp(bounds_.min + level_.value(u[0]), bounds_.min, bounds_.max);
+        notes[0] = level_.slope(u[0]);
     }
-    void gradient(std::span<const double> u, const Candidate&, std::span<const double> by_parameter,
-                  std::span<const double>, std::span<double> by_u) const override {
-        by_u[0] = by_parameter[index_] * level_.slope(u[0]);
+    void gradient(std::span<const double> notes, std::span<const double> by_parameter, std::span<const double>,
+                  std::span<double> by_u) const override {
+        by_u[0] = by_parameter[index_] * notes[0];
     }
     void locate(const std::vector<double>& parameters, std::span<double> u) const override {
         u[0] = level_.place(parameters[index_] - bounds_.min);
@@ -85,21 +88,23 @@ private:
 class DirectAxis final : public Axis {
 public:
     DirectAxis(const Parameter& parameter, std::size_t index, Interval bounds)
-        : index_(index), bounds_(bounds), log_(parameter.scale == Scale::logarithmic && bounds.min > 0) {
+        : index_(index),
+          bounds_(bounds),
+          log_(parameter.scale == Scale::logarithmic && bounds.min > 0),
+          range_(log_ ? std::log(bounds.max / bounds.min) : bounds.max - bounds.min) {
         const auto inside = [&](double value) { return to_u(std::clamp(value, bounds.min, bounds.max)); };
         typical_ = {inside(parameter.typical_min), inside(parameter.typical_max)};
         if (!(typical_.min < typical_.max)) typical_ = {0, 1};
     }
 
-    void apply(std::span<const double> u, Candidate& out) const override {
-        const double value = log_ ? bounds_.min * std::exp(u[0] * std::log(bounds_.max / bounds_.min))
-                                  : bounds_.min + u[0] * (bounds_.max - bounds_.min);
+    void apply(std::span<const double> u, Candidate& out, std::span<double> notes) const override {
+        const double value = log_ ? bounds_.min * std::exp(u[0] * range_) : bounds_.min + u[0] * range_;
         out.parameters[index_] = std::clamp(value, bounds_.min, bounds_.max);
+        notes[0] = log_ ? out.parameters[index_] * range_ : range_;
     }
-    void gradient(std::span<const double>, const Candidate& at, std::span<const double> by_parameter,
-                  std::span<const double>, std::span<double> by_u) const override {
-        by_u[0] = by_parameter[index_] *
-                  (log_ ? at.parameters[index_] * std::log(bounds_.max / bounds_.min) : bounds_.max - bounds_.min);
+    void gradient(std::span<const double> notes, std::span<const double> by_parameter, std::span<const double>,
+                  std::span<double> by_u) const override {
+        by_u[0] = by_parameter[index_] * notes[0];
     }
     void locate(const std::vector<double>& parameters, std::span<double> u) const override {
         u[0] = to_u(std::clamp(parameters[index_], bounds_.min, bounds_.max));
@@ -108,12 +113,12 @@ public:
 
 private:
     [[nodiscard]] double to_u(double value) const {
-        return log_ ? std::log(value / bounds_.min) / std::log(bounds_.max / bounds_.min)
-                    : (value - bounds_.min) / (bounds_.max - bounds_.min);
+        return (log_ ? std::log(value / bounds_.min) : value - bounds_.min) / range_;
     }
     std::size_t index_;
     Interval bounds_;
     bool log_;
+    double range_;  ///< of the parameter or its logarithm
     Interval typical_{0, 1};
 };
 
@@ -132,21 +137,24 @@ public:
 
     [[nodiscard]] std::size_t dimension() const override { return 2; }
 
-    void apply(std::span<const double> u, Candidate& out) const override {
+    [[nodiscard]] std::size_t notes() const override { return 4; }
+
+    /// Notes: the slopes of n and k by u_0 and u_1.
+    void apply(std::span<const double> u, Candidate& out, std::span<double> notes) const override {
         const double phi = kPi * u[1];
-        const Index index = at(u[0] * exit(phi).radius, phi);
+        const Exit leaves = exit(phi);
+        const Index index = at(u[0] * leaves.radius, phi);
         out.parameters[n_] = std::clamp(index.n, n_bounds_.min, n_bounds_.max);
         out.parameters[k_] = std::clamp(index.k, k_bounds_.min, k_bounds_.max);
+        notes[0] = index.n_r * leaves.radius;
+        notes[1] = index.k_r * leaves.radius;
+        notes[2] = kPi * (index.n_phi + index.n_r * u[0] * leaves.slope);
+        notes[3] = kPi * (index.k_phi + index.k_r * u[0] * leaves.slope);
     }
-    void gradient(std::span<const double> u, const Candidate&, std::span<const double> by_parameter,
-                  std::span<const double>, std::span<double> by_u) const override {
-        const double phi = kPi * u[1];
-        const Exit out = exit(phi);
-        const Index index = at(u[0] * out.radius, phi);
-        const double by_r = by_parameter[n_] * index.n_r + by_parameter[k_] * index.k_r;
-        const double by_phi = by_parameter[n_] * index.n_phi + by_parameter[k_] * index.k_phi;
-        by_u[0] = by_r * out.radius;
-        by_u[1] = kPi * (by_phi + by_r * u[0] * out.slope);
+    void gradient(std::span<const double> notes, std::span<const double> by_parameter, std::span<const double>,
+                  std::span<double> by_u) const override {
+        by_u[0] = by_parameter[n_] * notes[0] + by_parameter[k_] * notes[1];
+        by_u[1] = by_parameter[n_] * notes[2] + by_parameter[k_] * notes[3];
     }
     void locate(const std::vector<double>& parameters, std::span<double> u) const override {
         // rho = (N - 1)/(N + 1)
@@ -231,6 +239,8 @@ public:
           y_(homogeneous.plane.second),
           degree_(homogeneous.degree),
           pole_(homogeneous.pole),
+          cos_pole_(std::cos(pole_)),
+          sin_pole_(std::sin(pole_)),
           x_bounds_(x),
           y_bounds_(y) {
         if (level) height_.emplace(*level, kLargestCoefficient);
@@ -241,44 +251,54 @@ public:
     /// The rectangle must hold the origin, so that every direction has lengths from 0.
     static bool covers(Interval x, Interval y) { return x.min < 0 && x.max > 0 && y.min < 0 && y.max > 0; }
 
+    [[nodiscard]] std::size_t notes() const override { return kNotes; }
+
     /// Must come after the axis of the degree.
-    void apply(std::span<const double> u, Candidate& out) const override {
+    void apply(std::span<const double> u, Candidate& out, std::span<double> notes) const override {
         const double degree = out.parameters[degree_];
-        const double psi = angle(u[0], degree);
-        const Support support = support_along(std::cos(psi), std::sin(psi));
-        const double x = out.parameters[x_] = std::cos(psi) / support.value;
-        const double y = out.parameters[y_] = std::sin(psi) / support.value;
-        const double length = longest_along(x, y).length;
+        const double sinh_t = std::sinh(kReach * (2 * u[0] - 1));
+        const double tangent = sinh_t / (1 + degree);  // of (psi - pole)/2
+        const double part = 2 / (1 + tangent * tangent);
+        const double cosine = cos_pole_ * (part - 1) - sin_pole_ * part * tangent;
+        const double sine = sin_pole_ * (part - 1) + cos_pole_ * part * tangent;
+        const Support support = support_along(cosine, sine);
+        const double x = out.parameters[x_] = cosine / support.value;
+        const double y = out.parameters[y_] = sine / support.value;
+        const Longest longest = longest_along(x, y);
+        const double log_length = std::log(longest.length);
         out.lower[term_] = std::exp(degree * kLogSmallestLength);
-        out.upper[term_] = std::exp(degree * std::log(length));
-        if (height_) out.lower[term_] = out.upper[term_] = std::min(height_->value(u[1]), out.upper[term_]);
+        out.upper[term_] = std::exp(degree * log_length);
+        const double shrinks = support.slope / support.value;
+        notes[kXByAngle] = -y - x * shrinks;
+        notes[kYByAngle] = x - y * shrinks;
+        notes[kAngleByU] = part * std::sqrt(1 + sinh_t * sinh_t) / (1 + degree) * 2 * kReach;
+        notes[kAngleByDegree] = -part * tangent / (1 + degree);
+        notes[kLogLongest] = log_length;
+        notes[kLongestByX] = longest.by_x ? 1.0 : 0.0;
+        if (!height_) return;
+        const double height = height_->value(u[1]);
+        notes[kHeightByU] = height > out.upper[term_] ? 0.0 : height_->slope(u[1]);  // none where it is held
+        out.lower[term_] = out.upper[term_] = std::min(height, out.upper[term_]);
     }
-    void fold(std::span<const double> u, const Candidate& at, std::span<const double> c,
+    void fold(std::span<const double> notes, const Candidate& at, std::span<const double> c,
               std::span<const double> by_coefficient, std::span<double> by_parameter) const override {
-        const double x = at.parameters[x_];
-        const double y = at.parameters[y_];
         const double degree = at.parameters[degree_];
         const double gain = by_coefficient[term_] * c[term_];
-        const bool at_longest = height_ ? held(u, at) : at_upper(c[term_], at.upper[term_]);
+        const bool at_longest = height_ ? notes[kHeightByU] == 0 : at_upper(c[term_], at.upper[term_]);
         if (at_longest && at.upper[term_] < kLargestCoefficient) {
             // ln upper = degree ln R, and R = bound/|x| or bound/|y| along this direction
-            const Longest longest = longest_along(x, y);
-            by_parameter[degree_] += gain * std::log(longest.length);
-            if (longest.by_x) by_parameter[x_] -= gain * degree / x;
-            else by_parameter[y_] -= gain * degree / y;
+            by_parameter[degree_] += gain * notes[kLogLongest];
+            const std::size_t side = notes[kLongestByX] != 0 ? x_ : y_;
+            by_parameter[side] -= gain * degree / at.parameters[side];
         } else if (!height_ && at_lower(c[term_], at.lower[term_])) {
             by_parameter[degree_] += gain * kLogSmallestLength;
         }
-        const double tangent = half_tangent(u[0], degree);
-        by_parameter[degree_] -= by_angle(x, y, by_parameter) * 2 / (1 + tangent * tangent) * tangent / (1 + degree);
+        by_parameter[degree_] += by_angle(notes, by_parameter) * notes[kAngleByDegree];
     }
-    void gradient(std::span<const double> u, const Candidate& at, std::span<const double> by_parameter,
+    void gradient(std::span<const double> notes, std::span<const double> by_parameter,
                   std::span<const double> by_coefficient, std::span<double> by_u) const override {
-        if (height_) by_u[1] = held(u, at) ? 0.0 : by_coefficient[term_] * height_->slope(u[1]);
-        const double degree = at.parameters[degree_];
-        const double tangent = half_tangent(u[0], degree);
-        by_u[0] = by_angle(at.parameters[x_], at.parameters[y_], by_parameter) * 2 / (1 + tangent * tangent) *
-                  std::cosh(kReach * (2 * u[0] - 1)) / (1 + degree) * 2 * kReach;
+        if (height_) by_u[1] = by_coefficient[term_] * notes[kHeightByU];
+        by_u[0] = by_angle(notes, by_parameter) * notes[kAngleByU];
     }
     void finish(std::span<const double> c, std::vector<double>& parameters) const override {
         const double height = c[term_];
@@ -301,6 +321,16 @@ public:
     }
 
 private:
+    enum Note : std::size_t {
+        kXByAngle,
+        kYByAngle,
+        kAngleByU,
+        kAngleByDegree,
+        kLogLongest,
+        kLongestByX,
+        kHeightByU,
+        kNotes
+    };
     /// Largest |t|: reaches to within 10 degrees of the pole's opposite at degree 1e4.
     static constexpr double kReach = 12;
 
@@ -333,14 +363,9 @@ private:
     }
 
     /// d/d psi of (x, y) = (cos psi, sin psi)/S, applied to the slopes by x and y.
-    [[nodiscard]] double by_angle(double x, double y, std::span<const double> by_parameter) const {
-        const double norm = std::hypot(x, y);
-        const Support support = support_along(x / norm, y / norm);
-        const double shrinks = support.slope / support.value;
-        return (-y - x * shrinks) * by_parameter[x_] + (x - y * shrinks) * by_parameter[y_];
+    [[nodiscard]] double by_angle(std::span<const double> notes, std::span<const double> by_parameter) const {
+        return notes[kXByAngle] * by_parameter[x_] + notes[kYByAngle] * by_parameter[y_];
     }
-    static double half_tangent(double u, double degree) { return std::sinh(kReach * (2 * u - 1)) / (1 + degree); }
-    [[nodiscard]] double angle(double u, double degree) const { return pole_ + 2 * std::atan(half_tangent(u, degree)); }
     /// The length at which the ray along (x, y) leaves the bounds, and through which side.
     struct Longest {
         double length;
@@ -351,14 +376,9 @@ private:
         const double by_y = y == 0 ? HUGE_VAL : (y < 0 ? y_bounds_.min : y_bounds_.max) / y;
         return {std::min(by_x, by_y), by_x < by_y};
     }
-    /// The height asked for is beyond the bounds.
-    [[nodiscard]] bool held(std::span<const double> u, const Candidate& at) const {
-        const Longest longest = longest_along(at.parameters[x_], at.parameters[y_]);
-        return height_->value(u[1]) > std::exp(at.parameters[degree_] * std::log(longest.length));
-    }
     std::vector<Vertex> hull_;
     std::size_t term_, x_, y_, degree_;
-    double pole_;
+    double pole_, cos_pole_, sin_pole_;
     Interval x_bounds_, y_bounds_;
     std::optional<Level> height_{};
 };
@@ -402,6 +422,7 @@ SearchSpace::SearchSpace(const Model& model, std::vector<Interval> bounds, Unkno
     for (auto& axis : directions) axes_.push_back(std::move(axis));  // they read the degrees set before
     lobes_.insert(lobes_.end(), their_lobes.begin(), their_lobes.end());
     for (const auto& axis : axes_) dimension_ += axis->dimension();
+    for (const auto& axis : axes_) notes_ += axis->notes();
     if (scaled()) ++dimension_;
 }
 
@@ -413,17 +434,25 @@ double SearchSpace::scale(std::span<const double> u) const {
 }
 
 Candidate SearchSpace::candidate(std::span<const double> u) const {
-    const bool all = unknowns_ == Unknowns::all;
     Candidate out;
+    place(u, out);
+    return out;
+}
+
+void SearchSpace::place(std::span<const double> u, Candidate& out) const {
+    const bool all = unknowns_ == Unknowns::all;
     out.parameters.resize(model_.parameters.size());
     for (std::size_t i = 0; i < bounds_.size(); ++i)
         out.parameters[i] = bounds_[i].fixed() && (all || !model_.is_linear(i)) ? bounds_[i].min : 0.0;
     out.lower.assign(model_.terms.size(), 1.0);
     out.upper.assign(model_.terms.size(), 1.0);
+    out.notes.resize(notes_);
     std::size_t first = 0;
+    std::size_t note = 0;
     for (const auto& axis : axes_) {
-        axis->apply(u.subspan(first, axis->dimension()), out);
+        axis->apply(u.subspan(first, axis->dimension()), out, std::span(out.notes).subspan(note, axis->notes()));
         first += axis->dimension();
+        note += axis->notes();
     }
     for (std::size_t t = 0; t < model_.terms.size(); ++t)
         if (const auto factor = model_.terms[t].factor) {
@@ -433,7 +462,6 @@ Candidate SearchSpace::candidate(std::span<const double> u) const {
     const double s = scale(u);
     for (double& bound : out.lower) bound = std::min(bound * s, kLargestCoefficient);
     for (double& bound : out.upper) bound = std::min(bound * s, kLargestCoefficient);
-    return out;
 }
 
 void SearchSpace::gradient(std::span<const double> u, const Candidate& at, std::span<const double> coefficients,
@@ -441,20 +469,23 @@ void SearchSpace::gradient(std::span<const double> u, const Candidate& at, std::
                            std::span<double> by_u) const {
     std::vector<double> slopes(by_parameter.begin(), by_parameter.end());
     std::vector<double> by_scaled(by_coefficient.begin(), by_coefficient.end());  // by the coefficient over the scale
-    for (double& slope : by_scaled) slope *= scale(u);
+    const double unit = scale(u);
+    for (double& slope : by_scaled) slope *= unit;
     if (unknowns_ == Unknowns::all)
         for (std::size_t t = 0; t < model_.terms.size(); ++t)
             if (const auto factor = model_.terms[t].factor) slopes[*factor] += by_scaled[t];
-    std::size_t first = 0;
+    std::size_t note = 0;
     for (const auto& axis : axes_) {
-        axis->fold(u.subspan(first, axis->dimension()), at, coefficients, by_coefficient, slopes);
-        first += axis->dimension();
+        axis->fold(std::span(at.notes).subspan(note, axis->notes()), at, coefficients, by_coefficient, slopes);
+        note += axis->notes();
     }
-    first = 0;
+    std::size_t first = 0;
+    note = 0;
     for (const auto& axis : axes_) {
-        axis->gradient(u.subspan(first, axis->dimension()), at, slopes, by_scaled,
+        axis->gradient(std::span(at.notes).subspan(note, axis->notes()), slopes, by_scaled,
                        by_u.subspan(first, axis->dimension()));
         first += axis->dimension();
+        note += axis->notes();
     }
     if (!scaled()) return;
     // The scale moves the bounds of every coefficient, and with them the coefficients that stand there.

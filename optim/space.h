@@ -18,6 +18,7 @@ struct Candidate {
     std::vector<double> parameters;  ///< P; linear ones 0 with Unknowns::nonlinear
     std::vector<double> lower;       ///< T: bounds of the linear coefficients; equal to upper with Unknowns::all
     std::vector<double> upper;
+    std::vector<double> notes;  ///< what the space needs of u for slopes there
 };
 
 /// The data are `scale` times what the model speaks of, and so are coefficients: one value where it is known, a range
@@ -63,6 +64,8 @@ public:
     [[nodiscard]] std::size_t dimension() const { return dimension_; }
     [[nodiscard]] Unknowns unknowns() const { return unknowns_; }
     [[nodiscard]] Candidate candidate(std::span<const double> u) const;
+    /// The same, in memory that may have held another.
+    void place(std::span<const double> u, Candidate& out) const;
     /// d loss/d u from the loss's derivatives at the candidate of u and its coefficients c: by_parameter (P),
     /// by_coefficient (T; what a coefficient held at a bound would gain).
     void gradient(std::span<const double> u, const Candidate& at, std::span<const double> coefficients,
@@ -99,6 +102,7 @@ private:
     std::vector<std::unique_ptr<Axis>> axes_;
     std::vector<std::optional<std::size_t>> lobes_;  ///< of each axis
     std::size_t dimension_ = 0;
+    std::size_t notes_ = 0;
 };
 
 }  // namespace brdfit::optim

@@ -29,14 +29,13 @@ struct Quadratic {
     MatrixXd curvature;
 };
 
-/// From differences of gradients; the difference narrows where the objective bends within it.
+/// Without the gradient. From differences of gradients, which narrow where the objective bends within them.
 Quadratic quadratic(const Objective& objective, std::span<const double> u, double value,
                     const std::vector<double>& gradient, std::vector<Index> free, const Resolution& resolution) {
     constexpr double kNarrowest = 1e-9;
     constexpr double kUnlike = 1e-6;  // units differ by no more
     const auto n = static_cast<Index>(free.size());
     VectorXd width = VectorXd::Ones(n);
-    VectorXd g(n);
     MatrixXd h(n, n);
     std::vector<double> point(u.begin(), u.end());
     std::vector<double> above(u.size()), below(u.size());
@@ -65,7 +64,6 @@ Quadratic quadratic(const Objective& objective, std::span<const double> u, doubl
         }
         point[axis] = centre;
         for (Index i = 0; i < n; ++i) h(i, j) = (above[at(free[at(i)])] - below[at(free[at(i)])]) / (high - low);
-        g(j) = gradient[axis];
     }
     const double steepest = std::sqrt((width.array().square() * h.diagonal().array().abs()).maxCoeff());
     VectorXd unit(n);
@@ -74,8 +72,7 @@ Quadratic quadratic(const Objective& objective, std::span<const double> u, doubl
         unit(i) = steepest > 0 ? width(i) * steepest / std::max(bend, kUnlike * steepest) : width(i);
     }
     const MatrixXd scaled = unit.asDiagonal() * h * unit.asDiagonal();
-    return {std::move(free), unit, kTrust * width.cwiseQuotient(unit), g.cwiseProduct(unit),
-            (scaled + scaled.transpose()) / 2};
+    return {std::move(free), unit, kTrust * width.cwiseQuotient(unit), VectorXd(n), (scaled + scaled.transpose()) / 2};
 }
 
 /// Which directions a step takes: those that curve upward by more than a part of the most, or all, as if they did.
@@ -145,7 +142,8 @@ Resolution resolution(kernels::Precision precision) {
     return {1e-2, 1e-4, 1e-11, 1e-2};
 }
 
-Stationarity examine(const Objective& objective, std::span<const double> u, const Resolution& resolution) {
+Stationarity examine(const Objective& objective, std::span<const double> u, const Resolution& resolution,
+                     const Objective& bends) {
     const std::size_t d = u.size();
     Stationarity result;
     std::vector<double> gradient(d);
@@ -155,7 +153,15 @@ Stationarity examine(const Objective& objective, std::span<const double> u, cons
     for (std::size_t i = 0; i < d; ++i)
         if (!(u[i] <= 0 && gradient[i] > 0) && !(u[i] >= 1 && gradient[i] < 0)) free.push_back(static_cast<Index>(i));
     if (free.empty()) return result;
-    const Quadratic model = quadratic(objective, u, result.value, gradient, std::move(free), resolution);
+    Quadratic model;
+    if (bends) {
+        std::vector<double> slopes(d);
+        const double value = bends(u, slopes);
+        model = quadratic(bends, u, value, slopes, std::move(free), resolution);
+    } else {
+        model = quadratic(objective, u, result.value, gradient, std::move(free), resolution);
+    }
+    for (Index i = 0; i < model.unit.size(); ++i) model.gradient(i) = gradient[at(model.free[at(i)])] * model.unit(i);
     if (!model.curvature.allFinite()) {
         result.promised = HUGE_VAL;  // nothing can be said
         return result;
@@ -185,7 +191,8 @@ Stationarity examine(const Objective& objective, std::span<const double> u, cons
     return result;
 }
 
-Minimum settle(const Objective& objective, Minimum end, const Resolution& resolution, const SearchControl& control) {
+Minimum settle(const Objective& objective, Minimum end, const Resolution& resolution, const SearchControl& control,
+               const Objective& bends) {
     if (end.stop == StopReason::time_limit || end.stop == StopReason::cancelled) return end;
     const auto stopped = [&](StopReason reason) {
         end.stop = reason;
@@ -194,7 +201,7 @@ Minimum settle(const Objective& objective, Minimum end, const Resolution& resolu
     for (int round = 0; round < kRounds; ++round) {
         if (control.stop.stop_requested()) return stopped(StopReason::cancelled);
         if (control.over()) return stopped(StopReason::time_limit);
-        const Stationarity look = examine(objective, end.u, resolution);
+        const Stationarity look = examine(objective, end.u, resolution, bends);
         const double negligible = resolution.negligible(look.value);
         const bool minimum_of_model = look.promised <= negligible;
         end.loss2 = look.value;

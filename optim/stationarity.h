@@ -29,14 +29,17 @@ struct Stationarity {
     /// Steps along directions without upward curvature to speak of (flat, or down on both sides) that may lead lower.
     std::vector<std::vector<double>> doubtful;
 };
-/// From the gradient at u and differences of gradients, 2 d + 1 evaluations, more where it bends sharply. Throws what
-/// the objective throws.
-Stationarity examine(const Objective& objective, std::span<const double> u, const Resolution& resolution);
+/// From the gradient at u and differences of gradients, 2 d + 1 evaluations, more where it bends sharply. `bends`,
+/// unless empty, takes the objective's place in the differences: an estimate of it, of fewer samples. Throws what they
+/// throw.
+Stationarity examine(const Objective& objective, std::span<const double> u, const Resolution& resolution,
+                     const Objective& bends = {});
 
 /// Goes on from the end of a search until it is a minimum: Newton steps, steps along directions of negative curvature,
 /// descents. The result's stop is `converged` if no decrease is promised that counts, `roundoff` if one is promised but
-/// none is found, `evaluation_limit` if the rounds are spent; time_limit and cancelled as they come. Throws what the
-/// objective throws.
-Minimum settle(const Objective& objective, Minimum end, const Resolution& resolution, const SearchControl& control);
+/// none is found, `evaluation_limit` if the rounds are spent; time_limit and cancelled as they come. `bends` as in
+/// examine(). Throws what the objectives throw.
+Minimum settle(const Objective& objective, Minimum end, const Resolution& resolution, const SearchControl& control,
+               const Objective& bends = {});
 
 }  // namespace brdfit::optim
