@@ -44,9 +44,6 @@ fits '.options = {loss: "l2", cos_theta_r_exponent: 1}'
 answered "exponents of another loss" 422
 # Every twentieth value is ten times too large.
 outliers='.dataset.channels[0].scans[].brdf |= (to_entries | map(if .key % 20 == 7 then 10 * .value else .value end))'
-fits "$outliers"
-holds "outliers lead squares astray" '.channels[0].fits[0].parameters
-    | (.alpha.value - 0.2 | fabs) > 0.02 or (.rho_d.value - 0.3 | fabs) > 0.03'
 for robust in huber cauchy; do
     for loss in cosine_l2 l2 log relative; do
         fits "$outliers | .options = {loss: \"$loss\", robust: \"$robust\"}"

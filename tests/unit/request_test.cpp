@@ -123,7 +123,8 @@ TEST(Request, NamesWhatWouldBeValid) {
     const Problem problem = refusal_of([&] { (void)read(request); });
     ASSERT_EQ(problem.errors.size(), 2U);
     EXPECT_NE(problem.errors[0].detail.find("lambert, phong, ward"), std::string::npos);
-    EXPECT_NE(problem.errors[1].detail.find("robust_threshold, effort, precision, seed, time_limit_s"), std::string::npos);
+    EXPECT_NE(problem.errors[1].detail.find("robust_threshold, effort, precision, seed, time_limit_s"),
+              std::string::npos);
 }
 
 TEST(Request, RefusesWhatIsMissing) {
