@@ -20,7 +20,9 @@ struct Engine::Impl {
     std::optional<ProgramBuilder> builder;  // set from the constructor on
     std::mutex mutex;                       // guards programs
     /// By what differs in their texts, which are long.
-    std::map<std::tuple<Precision, Accuracy, std::string, std::string>, cl::Program, std::less<>> programs;
+    /// What a program is for: evaluation at an accuracy, or, without one, the hemisphere.
+    using Purpose = std::optional<Accuracy>;
+    std::map<std::tuple<Precision, Purpose, std::string, std::string>, cl::Program, std::less<>> programs;
     mutable std::mutex withdrawn_mutex;          // guards withdrawn; not held while the compiler runs
     std::map<Precision, std::string> withdrawn;  // why
 
@@ -38,7 +40,7 @@ struct Engine::Impl {
 
 private:
     [[nodiscard]] std::string flags(Precision precision) const;
-    cl::Program program(const Model& model, Precision precision, const ProgramSource& source);
+    cl::Program program(const Model& model, Precision precision, Purpose purpose);
 };
 
 /// What tune() has kept for this device, if anything; see kernels/tuning.h.
