@@ -190,13 +190,14 @@ Optimum settled(const Task& task, const std::vector<Interval>& bounds, const Wei
     SpaceLoss loss(evaluator, space, scale2, &weighted);
     const Objective objective = [&](std::span<const double> u, std::span<double> g) { return loss(u, g); };
     Minimum end{space.coordinates(found.parameters, found.scale), {}, 0, found.record.stop_reason};
+    std::optional<Thinned> thin;
     std::optional<Evaluator> thin_evaluator;
     std::optional<SpaceLoss> thin_loss;
     Objective bends;
-    if (weighted.y.size() > kThinAbove) {
-        const Thinned thin = thinned(weighted, task.directions.directions(), task.control.seed);
-        thin_evaluator.emplace(task.engine, task.model, precision, thin.directions, thin.data.y, thin.data.weight);
-        thin_loss.emplace(*thin_evaluator, space, scale2, weighted.logarithmic);
+    if (weighted.y.size() > kThinAbove && weighted.robust == Robust::none) {
+        thin = thinned(weighted, task.directions.directions(), task.control.seed);
+        thin_evaluator.emplace(task.engine, task.model, precision, thin->directions, thin->data.y, thin->data.weight);
+        thin_loss.emplace(*thin_evaluator, space, scale2, &thin->data);
         bends = [&](std::span<const double> u, std::span<double> g) { return (*thin_loss)(u, g); };
     }
     end = settle(objective, std::move(end), resolution(precision), task.control, bends);
