@@ -143,6 +143,7 @@ Thinned thinned(const Weighted& all, std::span<const kernels::Direction> directi
     std::shuffle(order.begin(), order.end(), random);  // a regular grid of directions must not meet regular draws
     Thinned result;
     result.data.norm = all.norm;
+    result.data.logarithmic = all.logarithmic;
     double sum = 0.5;
     for (const std::size_t j : order) {
         const double expected = share[j] * static_cast<double>(kThinTo);
