@@ -1,5 +1,5 @@
 // Times evaluations apart from kernels/cost.cpp, with a kernel, geometry, directions and clock of its own, and
-// compares. Prints a line for each model and precision; exits with 1 where they differ by more than 20 %.
+// compares. Prints a line for each model and precision; exits with 1 where they differ by more than 20 % and 0.1 ns.
 
 #include <algorithm>
 #include <cmath>
@@ -20,9 +20,10 @@ using namespace brdfit;
 /// A direction pair a lane, a launch for each set of parameters.
 constexpr const char* kKernel = R"(
 kernel void check(global const scalar *u, global const scalar *v, int n, global const scalar *parameters,
-                  global const scalar *c, global scalar *out) {
+                  global const scalar *c, global scalar *out, int rounds) {
     const Params p = broadcast_parameters(parameters);
     real sum = 0.0;
+    for (int round = 0; round < rounds; ++round)
     for (int i = 0; i < n; i += LANES) {
         const real ux = load_lanes(u + i), uz = load_lanes(u + n + i);
         const real vx = load_lanes(v + i), vy = load_lanes(v + n + i), vz = load_lanes(v + 2 * n + i);
@@ -88,6 +89,7 @@ double check_ns(const kernels::Model& model, kernels::Precision precision, unsig
     const auto u_buffer = buffer<Scalar>(context, u), v_buffer = buffer<Scalar>(context, v);
     const cl::Buffer out(context, CL_MEM_READ_WRITE, sizeof(Scalar));
     constexpr std::size_t kSets = 256;
+    const cl_int kRounds = 32;  // so that the launch is little of it
     const std::size_t count = model.parameters.size();
     const std::vector<double> all = kernels::typical_candidates(model, kSets, 99);
     double sum = 0;
@@ -101,14 +103,13 @@ double check_ns(const kernels::Model& model, kernels::Precision precision, unsig
         kernel.setArg(3, p_buffer);
         kernel.setArg(4, c_buffer);
         kernel.setArg(5, out);
+        kernel.setArg(6, kRounds);
         double least = HUGE_VAL;
-        constexpr int kLaunches = 16;  // between two looks at the clock
         for (int k = 0; k < 9; ++k) {
             const double start = processor_s();
-            for (int j = 0; j < kLaunches; ++j)
-                queue.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange(1), cl::NDRange(1));
+            queue.enqueueNDRangeKernel(kernel, cl::NullRange, cl::NDRange(1), cl::NDRange(1));
             queue.finish();
-            least = std::min(least, (processor_s() - start) / kLaunches);
+            least = std::min(least, (processor_s() - start) / kRounds);
         }
         sum += least;
     }
@@ -131,7 +132,8 @@ int main() {
                                              : check_ns<float>(*model, precision, engine.lanes(precision));
             std::printf("%-12s %-6s %8.3f ns, checked %8.3f ns, ratio %.3f\n", tests::label(*model).c_str(),
                         is_double ? "double" : "single", reported, checked, reported / checked);
-            agree = agree && reported / checked < 1.2 && checked / reported < 1.2;
+            const bool close = std::abs(reported - checked) < 0.1;  // nearly nothing to do: Lambert's product
+            agree = agree && (close || (reported / checked < 1.2 && checked / reported < 1.2));
         }
     }
     return agree ? 0 : 1;
