@@ -233,8 +233,7 @@ void Engine::build_ahead(std::span<const Family> families, std::span<const Preci
             for (const Precision precision : precisions) {
                 sources.push_back(impl_->source(model, precision, Accuracy::full));
                 sources.push_back(impl_->hemisphere_source(model, precision));
-                if (model.begins_quickly() && usable() && precision == best_precision())
-{
+                if (model.begins_quickly() && usable() && precision == best_precision()) {
                     sources.push_back(impl_->source(model, quickest_precision(),
                                                     model.sums_series() ? Accuracy::search : Accuracy::full));
                     if (model.sums_series()) sources.push_back(impl_->hemisphere_source(model, quickest_precision()));
