@@ -113,8 +113,9 @@ void serve(const ServeOptions& options) {
     if (engine.usable())
         for (const kernels::Family& family : catalogue.families()) fitter.warm_up(family);
     const std::jthread others([&] {
-        self_tests.set_value(tester.prove_others());
+        std::vector<kernels::SelfTest> found = tester.prove_others();
         measure_costs(fitter, catalogue, stop.get_token());
+        self_tests.set_value(std::move(found));
     });
     const auto stop_building = [&] { engine.stop_building(); };
     const std::stop_callback stopped(stop.get_token(), stop_building);

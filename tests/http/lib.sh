@@ -143,5 +143,5 @@ refused() {
 # An answer without what differs from run to run: ids and times.
 normalised() {
     jq -S 'def plain: sub("/v1/fits/[^/]*"; "");
-           del(.id, .links) | del(.channels[].fits[].search.time_s) | .channels[].fits[].links.plot |= plain' "$1"
+           del(.id, .links) | del(.channels[].fits[] | .search.time_s, .cost) | .channels[].fits[].links.plot |= plain' "$1"
 }

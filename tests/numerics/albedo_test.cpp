@@ -114,7 +114,7 @@ const std::vector<Case>& cases() {
 }
 
 TEST(Albedo, AgreesWithAnotherQuadrature) {
-    const std::vector<double> some{0, 50, 80, 89};
+    const std::vector<double> some{50, 80, 89};
     const std::vector<double> many{0, 2, 10, 20, 30, 40, 50, 60, 70, 75, 80, 83, 86, 88, 89};
     const std::vector<double>& angles = long_form() ? many : some;
     double worst = 0;

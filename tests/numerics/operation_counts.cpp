@@ -26,7 +26,7 @@ std::string operation_counts_table() {
             for (const kernels::Direction& direction : directions) {
                 const kernels::Angles a(canonical(direction));
                 const std::vector<double> vectors{static_cast<double>(a.sin_i), static_cast<double>(a.cos_i),
-                                          static_cast<double>(a.sin_r), 0, static_cast<double>(a.cos_r)};
+                                                  static_cast<double>(a.sin_r), 0, static_cast<double>(a.cos_r)};
                 if (!std::isfinite(counted.value(p, c, vectors, counts)))
                     throw std::runtime_error("no number from " + std::string(counted.label));
             }
