@@ -10,6 +10,7 @@
 #include "kernels/engine.h"
 #include "kernels/selftest.h"
 #include "optim/dataset.h"
+#include "optim/fit.h"
 #include "optim/loss.h"
 #include "optim/report.h"
 #include "optim/search.h"
@@ -46,6 +47,19 @@ inline constexpr std::array<Named<optim::StopReason>, 5> kStopReasons{{
     {optim::StopReason::time_limit, "time_limit", "options.time_limit_s passed"},
     {optim::StopReason::roundoff, "roundoff", "round-off stopped progress; the point is usable"},
     {optim::StopReason::cancelled, "cancelled", "the request was withdrawn"},
+}};
+inline constexpr std::array<Named<optim::RankBy>, 5> kRankBy{{
+    {optim::RankBy::loss, "loss", "the fit's own loss"},
+    {optim::RankBy::aicc, "aicc", "Akaike's criterion, corrected for few samples"},
+    {optim::RankBy::bic, "bic", "the Bayesian criterion"},
+    {optim::RankBy::held_out, "held_out", "the loss at incidence angles that were left out"},
+    {optim::RankBy::log10_rmse, "log10_rmse", "the error in decades"},
+}};
+inline constexpr std::array<Named<optim::NoiseSource>, 4> kNoiseSources{{
+    {optim::NoiseSource::none, "none", "too few samples, or all are 0"},
+    {optim::NoiseSource::residuals, "residuals", "of each fit: differences of neighbouring samples cannot tell"},
+    {optim::NoiseSource::given, "given", "sigma in the data"},
+    {optim::NoiseSource::estimated, "estimated", "from differences of neighbouring samples"},
 }};
 inline constexpr const auto& kLosses = optim::kLossNames;
 

@@ -55,6 +55,14 @@ const std::vector<Field<FitOptions>> kOptionFields{
      [](const json& v, const Place& p, FitOptions& out) { out.precision = read_precision(v, p); }},
     {"seed", false, "of the starts; the same seed gives the same result", read_seed},
     {"time_limit_s", false, "of the whole request, in seconds", read_time_limit},
+    {"judge", false, "also judge: held-out errors, albedo, physics",
+     [](const json& v, const Place& p, FitOptions& out) {
+         if (const auto judge = read_flag(v, p)) out.judge = *judge;
+     }},
+    {"rank_by", false, "what fits are sorted by",
+     [](const json& v, const Place& p, FitOptions& out) {
+         if (const auto rank_by = read_choice(v, p, kRankBy)) out.rank_by = *rank_by;
+     }},
 };
 
 // ---- models ----
@@ -282,8 +290,10 @@ const std::vector<Field<Dataset>> kDatasetFields{
 
 // ---- the whole ----
 
-/// What the fields cannot say one by one: enough samples, bounds within domains, sigma for chi2.
+/// What the fields cannot say one by one: enough samples, bounds within domains, sigma for chi2, ranks that are judged.
 void check_together(const FitRequest& request, bool models_given, const Place& place) {
+    if (request.options.rank_by == optim::RankBy::held_out && !request.options.judge)
+        place.at("options").at("rank_by").fail("contradiction", "held_out needs \"judge\": true");
     for (std::size_t c = 0; c < request.dataset.channels.size(); ++c) {
         const Channel& channel = request.dataset.channels[c];
         const Place channel_place = place.at("dataset").at("channels").at(c);
@@ -343,11 +353,12 @@ void finish(const RawRequest& raw, const kernels::Catalogue& catalogue, FitReque
     refuse_if_any(std::move(errors));
 }
 
-/// A query parameter's text as JSON: a number where it is one.
+/// A query parameter's text as JSON: a number or a truth value where it is one.
 json query_value(const std::string& text) {
     double number = 0;
     const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
     if (error == std::errc{} && end == text.data() + text.size() && std::isfinite(number)) return number;
+    if (text == "true" || text == "false") return text == "true";
     return text;
 }
 

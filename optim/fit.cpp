@@ -14,8 +14,12 @@
 
 #include "kernels/evaluator.h"
 #include "optim/broker.h"
+#include "optim/crossvalidation.h"
+#include "optim/noise.h"
 #include "optim/optimum.h"
+#include "optim/refit.h"
 #include "optim/statistics.h"
+#include "optim/uncertainty.h"
 
 namespace brdfit::optim {
 namespace {
@@ -136,6 +140,7 @@ struct Work {
     kernels::Engine& engine;
     const Channel& channel;
     const Directions& directions;
+    const Noise& noise;
     Unit unit;
     const ModelRequest& request;
     const FitOptions& options;
@@ -180,105 +185,16 @@ std::string bound_remark(const kernels::Parameter& parameter, Interval bounds, d
     return fmt::format("{} stands at its {} {:g}", parameter.name, whose, bound / unit);
 }
 
-/// The size of a column of the weighted Jacobian.
-double effect(const Weighted& weighted, const Residuals& residuals, const std::vector<double>& by_parameter) {
-    double sum = 0;
-    for (std::size_t j = 0; j < by_parameter.size(); ++j) {
-        const double x = residuals.by_f[j] * by_parameter[j];
-        sum += weighted.weight[j] * x * x;
-    }
-    return std::sqrt(sum);
-}
-
-/// Terms that the samples do not see.
-void add_unseen_terms(const Work& work, kernels::Precision precision, const Optimum& optimum, Fit& fit) {
-    const Model& model = *optimum.model;
-    kernels::Evaluator evaluator(work.engine, model, precision, work.directions.samples, {}, {});
-    const std::vector<double> rows = evaluator.terms(optimum.parameters);
-    const std::vector<double> c = model.coefficients(optimum.parameters);
-    const auto largest = [](auto begin, auto end) {
-        double most = 0;
-        for (auto it = begin; it != end; ++it) most = std::max(most, std::abs(*it));
-        return most;
-    };
-    const double seen = kUnseen * largest(fit.values.begin(), fit.values.end()) / optimum.scale;
-    auto row = rows.begin();
-    for (std::size_t t = 0; t < model.terms.size(); ++t) {
-        const auto n = static_cast<std::ptrdiff_t>(evaluator.samples());
-        if (!model.terms[t].of.empty() && std::abs(c[t]) * largest(row, row + n) <= seen)
-            fit.warnings.push_back(model.terms[t].name + " is zero at every sample");
-        row += n * static_cast<std::ptrdiff_t>(1 + model.terms[t].of.size());
-    }
-}
-
-/// Parameter values with their errors, in the wire's unit.
-void add_parameters(const Work& work, kernels::Precision precision, const Weighted& weighted, const Optimum& optimum,
-                    const std::vector<Interval>& bounds, const kernels::Values& values, Fit& fit) {
-    const Model& model = *optimum.model;
-    const std::size_t n = values.f.size();
-
-    const Residuals at = residuals(weighted, fit.values);
-    std::vector<std::size_t> free;
-    std::vector<std::vector<double>> jacobian;
-    const auto undetermined = [&](const std::string& name) {
-        fit.warnings.push_back("the data do not determine " + name);
-    };
-    for (std::size_t i = 0; i < model.parameters.size(); ++i) {
-        const kernels::Parameter& declared = model.parameters[i];
-        const double unit = to_model_unit(declared, work.channel);
-        const double value = optimum.parameters[i];
-        FittedParameter parameter;
-        parameter.name = declared.name;
-        parameter.unit = wire_unit(declared, work.channel);
-        parameter.value = value / unit + 0.0;  // no -0
-        parameter.fixed = bounds[i].fixed();
-        parameter.at_bound = !parameter.fixed && is_at_bound(declared, model.is_linear(i), bounds[i], value);
-        fit.parameters.push_back(std::move(parameter));
-        if (fit.parameters.back().fixed) continue;
-        if (fit.parameters.back().at_bound) {
-            fit.warnings.push_back(
-                bound_remark(declared, bounds[i], value, work.request.bounds.count(declared.name) > 0, unit));
-            continue;
-        }
-        std::vector<double> row;
-        for (std::size_t j = 0; j < n; ++j) row.push_back(optimum.scale * values.by_parameter[i * n + j]);
-        // What the samples do not feel over the parameter's whole interval is rounding, not a slope.
-        const double reach = declared.scale == kernels::Scale::logarithmic
-                                 ? std::abs(value)
-                                 : std::max(declared.max - declared.min, std::abs(value));
-        if (!(effect(weighted, at, row) * reach > kUnseen * std::max(weighted.norm, fit.loss))) {
-            undetermined(declared.name);
-            continue;
-        }
-        free.push_back(i);
-        jacobian.push_back(std::move(row));
-    }
-    if (work.unit == Unit::relative && knows_scale(model)) jacobian.push_back(values.f);
-    const auto errors = standard_errors(weighted, at, jacobian);
-    const bool too_few = weighted.used <= jacobian.size();
-    std::string without;
-    for (std::size_t i = 0; i < free.size(); ++i) {
-        FittedParameter& parameter = fit.parameters[free[i]];
-        if (errors[i]) parameter.std_error = *errors[i] / to_model_unit(model.parameters[free[i]], work.channel);
-        else if (too_few) without += (without.empty() ? "" : ", ") + parameter.name;
-        else undetermined(parameter.name);
-    }
-    if (!without.empty())
-        fit.warnings.push_back("no standard error of " + without + ": no more samples than parameters");
-    if (!fit.warnings.empty()) add_unseen_terms(work, precision, optimum, fit);  // some parameter knows it too
-}
-
 /// Lobes in falling order of their exponent, unless the request speaks of single lobes.
-void order_lobes(const Work& work, Optimum& optimum) {
-    const Model& model = *optimum.model;
+void order_lobes(const Work& work, const Model& model, Point& point) {
     if (model.repeats < 2 || !work.request.bounds.empty() || !work.request.fixed.empty()) return;
     std::vector<std::vector<double>> lobes;
-    auto at = optimum.parameters.begin() + static_cast<std::ptrdiff_t>(model.group_begin);
+    auto at = point.parameters.begin() + static_cast<std::ptrdiff_t>(model.group_begin);
     for (std::size_t j = 0; j < model.repeats; ++j, at += static_cast<std::ptrdiff_t>(model.group_size))
         lobes.emplace_back(at, at + static_cast<std::ptrdiff_t>(model.group_size));
     std::stable_sort(lobes.begin(), lobes.end(),
                      [&](const auto& a, const auto& b) { return a[model.order_by] > b[model.order_by]; });
-    at = optimum.parameters.begin() + static_cast<std::ptrdiff_t>(model.group_begin);
+    at = point.parameters.begin() + static_cast<std::ptrdiff_t>(model.group_begin);
     for (const auto& lobe : lobes) at = std::copy(lobe.begin(), lobe.end(), at);
 }
 
@@ -312,42 +228,220 @@ Prepared prepare(const Work& work, const Model& model) {
     return prepared;
 }
 
-/// Everything the report says of an optimum.
-Fit describe(const Work& work, const Prepared& prepared, Optimum optimum) {
-    order_lobes(work, optimum);
-    optimum.scale *= prepared.unit;
-    const kernels::Precision precision = work.engine.best_precision();
-    const Weighted weighted = weigh(work.channel, work.options.loss);
+/// One variant of the model: what its search sees and what it has found. Its parts refer to each other.
+struct Variant {
+    Variant(const Work& work, const Model& model)
+        : prepared(prepare(work, model)),
+          weighted(weigh(prepared.channel, work.options.loss)),
+          free(free_parameters(prepared.bounds)),
+          scale_free(work.unit == Unit::relative && knows_scale(model)),
+          task{work.engine,
+               model,
+               prepared.channel,
+               work.directions.samples,
+               weighted,
+               work.options.precision,
+               work.options.effort,
+               work.control,
+               prepared.scale} {
+        for (const double size : work.noise.sigma) sigma.push_back(size / prepared.unit);
+    }
+    Variant(const Variant&) = delete;
+    Variant& operator=(const Variant&) = delete;
+    ~Variant() = default;
+
+    Prepared prepared;
+    Weighted weighted;
+    std::size_t free;  ///< parameters
+    bool scale_free;   ///< the scale is one more
+    std::vector<double> sigma;
+    Task task;
+    Optimum optimum;
+    std::optional<Refitter> refitter;
+    Point likeliest;  ///< by the noise, not by the loss
     Fit fit;
+};
+
+/// AICc and BIC: of the model's likeliest parameters under the noise, which descents from the optimum find; without
+/// sizes of the noise, of the loss.
+void add_evidence(const Work& work, const Weighted& weighted, const Variant* smaller, Variant& variant) {
+    constexpr double kEnough = 1e-7;  // of chi^2
+    constexpr std::size_t kOthers = 2;
+    Fit& fit = variant.fit;
+    const std::size_t free = variant.free + (variant.scale_free ? 1 : 0);
+    variant.likeliest = variant.optimum;
+    if (variant.sigma.empty()) {
+        describe_evidence(deviance(weighted, fit.loss), weighted.used, free, fit);
+        return;
+    }
+    std::vector<Point> starts{variant.optimum};
+    for (std::size_t i = 0; i < std::min(kOthers, variant.optimum.others.size()); ++i)
+        starts.push_back(variant.optimum.others[i]);
+    if (smaller != nullptr && !smaller->likeliest.parameters.empty())
+        starts.push_back(extended(variant.task.model, smaller->task.model, smaller->likeliest));
+    std::optional<Refitter> own;
+    if (variant.refitter->logarithmic())
+        own.emplace(variant.task, variant.prepared.bounds, Refitter::Residual::difference);
+    Refitter& refitter = own ? *own : *variant.refitter;
+    variant.likeliest = refitter.descend(weigh_by(variant.prepared.channel, variant.sigma), starts, kEnough).front();
+    std::vector<double> f = refitter.values(variant.likeliest, false).f;
+    for (double& value : f) value *= variant.prepared.unit;
+    describe_evidence(deviance(work.channel, work.noise.sigma, f), work.channel.samples.size(), free, fit);
+}
+
+/// What the choice of a variant rests on: losses, errors, evidence.
+void describe(const Work& work, const Variant* smaller, Variant& variant) {
+    const Optimum& optimum = variant.optimum;
+    const Prepared& prepared = variant.prepared;
+    const Weighted weighted = weigh(work.channel, work.options.loss);
+    Fit& fit = variant.fit;
     fit.model = work.request.family->name;
-    fit.lobes = optimum.model->repeats;
-    if (work.unit == Unit::relative) fit.scale = optimum.scale;
-    const kernels::Values values =
-        kernels::evaluate(work.engine, *optimum.model, precision, optimum.parameters, work.directions.samples, true);
-    for (const double value : values.f) fit.values.push_back(value * optimum.scale);
+    fit.lobes = variant.task.model.repeats;
+    if (work.unit == Unit::relative) fit.scale = optimum.scale * prepared.unit;
+    variant.refitter.emplace(variant.task, prepared.bounds);
+    for (const double value : variant.refitter->values(optimum, false).f) fit.values.push_back(value * prepared.unit);
     fit.loss = std::sqrt(residuals(weighted, fit.values).loss2);
     if (!std::isfinite(fit.loss)) throw SearchError("the model gave a value that is not finite");
     fit.relative_loss = weighted.norm > 0 ? fit.loss / weighted.norm : 0.0;
-    std::size_t free = free_parameters(prepared.bounds);
-    if (work.unit == Unit::relative && knows_scale(*optimum.model)) ++free;
-    describe_errors(work.channel, weighted, free, fit);
-    add_parameters(work, precision, weighted, optimum, prepared.bounds, values, fit);
-    add_curves(work, precision, optimum, fit);
+    describe_errors(work.channel, fit);
     fit.search = optimum.record;
     const double found =
         weighted.logarithmic ? std::sqrt(optimum.relative_loss2) : std::sqrt(optimum.relative_loss2) * weighted.norm;
     if (fit.search.stop_reason == StopReason::converged &&
         fit.loss > found * (1 + kReproduced) + kUnseen * (weighted.norm > 0 ? weighted.norm : 1.0))
         fit.search.stop_reason = StopReason::roundoff;
+    add_evidence(work, weighted, smaller, variant);
+}
+
+/// Terms that the samples do not see.
+void add_unseen_terms(Variant& variant) {
+    const Model& model = variant.task.model;
+    kernels::Evaluator& evaluator = variant.refitter->evaluator();
+    const std::vector<double> rows = evaluator.terms(variant.optimum.parameters);
+    const std::vector<double> c = model.coefficients(variant.optimum.parameters);
+    const auto largest = [](auto begin, auto end) {
+        double most = 0;
+        for (auto it = begin; it != end; ++it) most = std::max(most, std::abs(*it));
+        return most;
+    };
+    Fit& fit = variant.fit;
+    const double seen =
+        kUnseen * largest(fit.values.begin(), fit.values.end()) / (variant.optimum.scale * variant.prepared.unit);
+    auto row = rows.begin();
+    for (std::size_t t = 0; t < model.terms.size(); ++t) {
+        const auto n = static_cast<std::ptrdiff_t>(evaluator.samples());
+        if (!model.terms[t].of.empty() && std::abs(c[t]) * largest(row, row + n) <= seen)
+            fit.warnings.push_back(model.terms[t].name + " is zero at every sample");
+        row += n * static_cast<std::ptrdiff_t>(1 + model.terms[t].of.size());
+    }
+}
+
+/// Parameter values with what noise leaves open of them, in the wire's unit.
+void add_parameters(const Work& work, Variant& variant) {
+    constexpr std::size_t kReplicates = 400;
+    const Model& model = variant.task.model;
+    const std::vector<Interval>& bounds = variant.prepared.bounds;
+    Fit& fit = variant.fit;
+    std::vector<bool> at_bound;
+    std::vector<double> units;
+    for (std::size_t i = 0; i < model.parameters.size(); ++i) {
+        const kernels::Parameter& declared = model.parameters[i];
+        const double value = variant.optimum.parameters[i];
+        units.push_back(to_model_unit(declared, work.channel));
+        FittedParameter parameter;
+        parameter.name = declared.name;
+        parameter.unit = wire_unit(declared, work.channel);
+        parameter.value = value / units[i] + 0.0;  // no -0
+        parameter.fixed = bounds[i].fixed();
+        parameter.at_bound = !parameter.fixed && is_at_bound(declared, model.is_linear(i), bounds[i], value);
+        at_bound.push_back(parameter.at_bound);
+        if (parameter.at_bound)
+            fit.warnings.push_back(
+                bound_remark(declared, bounds[i], value, work.request.bounds.count(declared.name) > 0, units[i]));
+        fit.parameters.push_back(std::move(parameter));
+    }
+    const Estimate estimate{variant.task,       work.options.loss, bounds, variant.optimum, at_bound, variant.sigma,
+                            work.noise.degrees, variant.scale_free};
+    Uncertainty uncertainty = uncertainty_of(estimate, *variant.refitter, units);
+    std::vector<std::array<double, 2>> resampled;
+    if (work.options.judge && work.options.effort == Effort::thorough && !variant.sigma.empty())
+        resampled = bootstrap_intervals(estimate, *variant.refitter, kReplicates);
+    if (!resampled.empty()) fit.replicates = kReplicates;
+    std::string without;
+    for (std::size_t i = 0; i < model.parameters.size(); ++i) {
+        FittedParameter& parameter = fit.parameters[i];
+        const ParameterUncertainty& known = uncertainty.parameters[i];
+        if (parameter.fixed) continue;
+        if (known.undetermined) fit.warnings.push_back("the data do not determine " + parameter.name);
+        else if (uncertainty.too_few && !parameter.at_bound) without += (without.empty() ? "" : ", ") + parameter.name;
+        if (known.std_error) parameter.std_error = *known.std_error / units[i];
+        if (!known.interval_95) continue;
+        parameter.interval_95 = resampled.empty() ? known.interval_95 : resampled[i];
+        for (double& end : *parameter.interval_95) end = end / units[i] + 0.0;
+    }
+    if (!without.empty())
+        fit.warnings.push_back("no standard error of " + without + ": no more samples than parameters");
+    if (!fit.warnings.empty()) add_unseen_terms(variant);  // some parameter knows it too
+    fit.correlations = std::move(uncertainty.correlations);
+    for (std::string& remark : uncertainty.remarks) fit.warnings.push_back(std::move(remark));
+}
+
+/// Other minima that the search has met, each polished; returns them as starts, best first.
+std::vector<Point> add_rivals(const Work& work, Variant& variant) {
+    constexpr std::size_t kMost = 4;
+    constexpr double kEnough = 1e-7;  // of loss^2
+    constexpr double kAlike = 1e-3;   // of the loss
+    const Optimum& optimum = variant.optimum;
+    std::vector<Point> found;
+    if (optimum.others.empty()) return found;
+    const double norm = variant.weighted.logarithmic ? 1.0 : variant.weighted.norm;
+    const double best = std::sqrt(optimum.relative_loss2);
+    double last = best;
+    for (Refitter::End& end : variant.refitter->descend(variant.weighted, optimum.others, kEnough)) {
+        const double loss = std::sqrt(end.loss2) / norm;
+        if (end.stop != StopReason::converged || !(loss > last * (1 + kAlike) + kUnseen)) continue;
+        last = loss;
+        order_lobes(work, variant.task.model, end);
+        Rival& rival = variant.fit.search.rivals.emplace_back();
+        rival.loss = variant.weighted.logarithmic ? loss : loss * variant.fit.loss / best;
+        rival.agreed = static_cast<std::size_t>(std::count_if(optimum.ends.begin(), optimum.ends.end(), [&](double l2) {
+            return std::abs(std::sqrt(l2) - loss) <= kAlike * loss;
+        }));
+        for (std::size_t i = 0; i < end.parameters.size(); ++i) {
+            const kernels::Parameter& declared = variant.task.model.parameters[i];
+            rival.parameters.emplace_back(declared.name,
+                                          end.parameters[i] / to_model_unit(declared, work.channel) + 0.0);
+        }
+        found.push_back(end);
+        if (found.size() == kMost) break;
+    }
+    return found;
+}
+
+/// Everything else the report says of the variant that was chosen.
+void explain(const Work& work, Variant& variant) {
+    const Prepared& prepared = variant.prepared;
+    Fit& fit = variant.fit;
+    add_parameters(work, variant);
+    Optimum reported = variant.optimum;
+    reported.scale *= prepared.unit;
+    add_curves(work, work.engine.best_precision(), reported, fit);
     if (prepared.scale.min < prepared.scale.max)
-        if (const double s = optimum.scale / prepared.unit;
+        if (const double s = variant.optimum.scale;
             s <= prepared.scale.min * 1.0001 || s >= prepared.scale.max / 1.0001)
             fit.warnings.push_back("scale stands at the end of its range, 1e6 times from a white diffuser's");
     if (prepared.by_convention)
         fit.warnings.push_back(
             "relative data do not determine this model's scale: by convention it is that of a white "
             "diffuser with the data's rms");
-    return fit;
+    if (!work.options.judge || work.control.over()) return;
+    constexpr std::size_t kRivals = 2;  // that folds are fitted from as well
+    std::vector<Point> starts{variant.optimum};
+    for (Point& rival : add_rivals(work, variant))
+        if (starts.size() <= kRivals) starts.push_back(std::move(rival));
+    const std::size_t free = variant.free + (variant.scale_free ? 1 : 0);
+    fit.held_out = hold_out(*variant.refitter, variant.task, work.channel, prepared.unit,
+                            weigh(work.channel, work.options.loss), starts, free);
 }
 
 /// Why a search is over.
@@ -363,47 +457,39 @@ Fit fit_model(const Work& work) {
     const bool automatic = family.repeat && !work.request.lobes;
     if (const double rms = data_rms(work.channel); rms > 0 && rms < kSmallestData)
         throw SearchError("the BRDF values are too small, below 1e-100, where squares vanish: use another unit");
-    std::optional<Optimum> smaller;
-    std::optional<Fit> fit;
+    std::unique_ptr<Variant> chosen, smaller;
     std::size_t evaluations = 0;
     for (std::size_t lobes = family.repeat ? family.repeat->min : 1; lobes <= work.request.most_lobes(); ++lobes) {
-        const Model& model = family.variant(lobes);
-        const Prepared prepared = prepare(work, model);
-        const Weighted weighted = weigh(prepared.channel, work.options.loss);
-        const std::size_t free = free_parameters(prepared.bounds);
+        auto variant = std::make_unique<Variant>(work, family.variant(lobes));
+        const Weighted& weighted = variant->weighted;
         if (!std::isfinite(weighted.norm))
             throw SearchError("the weights of this loss overflow: a value or a sigma is too small beside the others");
-        if (weighted.used < free) {
-            if (automatic && fit) break;
+        if (weighted.used < variant->free) {
+            if (automatic && chosen) break;
             throw SearchError("too few samples: " + std::to_string(weighted.used) + " usable ones for " +
-                              std::to_string(free) + " free parameters");
+                              std::to_string(variant->free) + " free parameters");
         }
-        const Task task{work.engine,
-                        model,
-                        prepared.channel,
-                        work.directions.samples,
-                        weighted,
-                        work.options.precision,
-                        work.options.effort,
-                        work.control,
-                        prepared.scale};
-        Optimum optimum = find_optimum(task, prepared.bounds, smaller ? &*smaller : nullptr);
-        evaluations = optimum.record.evaluations += evaluations;
+        const Variant* const before = chosen ? chosen.get() : smaller.get();
+        variant->optimum = find_optimum(variant->task, variant->prepared.bounds, before ? &before->optimum : nullptr);
+        evaluations = variant->optimum.record.evaluations += evaluations;
+        order_lobes(work, variant->task.model, variant->optimum);
         const bool last = lobes == work.request.most_lobes();
-        if (automatic || last) {
-            Fit next = describe(work, prepared, optimum);
-            if (automatic && fit && !(next.bic < fit->bic - kEvidence)) break;
-            fit = std::move(next);
+        if (!automatic && !last) {
+            smaller = std::move(variant);
+            continue;
         }
-        smaller = std::move(optimum);
+        describe(work, before, *variant);
+        if (chosen && !(variant->fit.bic < chosen->fit.bic - kEvidence)) break;
+        chosen = std::move(variant);
         if (automatic && !last && work.control.over()) {
-            fit->search.stop_reason = stop_of(work.control);
+            chosen->fit.search.stop_reason = stop_of(work.control);
             break;
         }
     }
-    fit->search.evaluations = evaluations;
-    fit->search.time_s = std::chrono::duration<double>(Clock::now() - start).count();
-    return std::move(*fit);
+    explain(work, *chosen);
+    chosen->fit.search.evaluations = evaluations;
+    chosen->fit.search.time_s = std::chrono::duration<double>(Clock::now() - start).count();
+    return std::move(chosen->fit);
 }
 
 /// Searches at once: enough that the device always has launches, no more than that, for each takes memory and all of
@@ -445,14 +531,27 @@ std::vector<std::string> channel_warnings(const Channel& channel) {
             "relative errors are taken"};
 }
 
-ChannelReport rank(const Channel& channel, std::vector<Outcome> outcomes) {
-    ChannelReport report{channel, {}, {}, channel_warnings(channel)};
+/// What a fit is ranked by; infinite where it has none.
+double measure(const Fit& fit, RankBy by) {
+    switch (by) {
+        case RankBy::loss: return fit.loss;
+        case RankBy::aicc: return fit.aicc.value_or(HUGE_VAL);
+        case RankBy::bic: return fit.bic;
+        case RankBy::held_out: return fit.held_out ? fit.held_out->loss : HUGE_VAL;
+        case RankBy::log10_rmse: return fit.log10_rmse.value_or(HUGE_VAL);
+    }
+    return HUGE_VAL;
+}
+
+ChannelReport rank(const Channel& channel, const NoiseRecord& noise, RankBy by, std::vector<Outcome> outcomes) {
+    ChannelReport report{channel, {}, {}, channel_warnings(channel), noise};
     for (Outcome& outcome : outcomes) {
         if (outcome.fit) report.fits.push_back(std::move(*outcome.fit));
         else report.failures.push_back(std::move(outcome.failure));
     }
-    std::stable_sort(report.fits.begin(), report.fits.end(),
-                     [](const Fit& a, const Fit& b) { return a.loss < b.loss; });
+    std::stable_sort(report.fits.begin(), report.fits.end(), [&](const Fit& a, const Fit& b) {
+        return std::pair(measure(a, by), a.loss) < std::pair(measure(b, by), b.loss);
+    });
     for (std::size_t i = 0; i < report.fits.size(); ++i) report.fits[i].rank = i + 1;
     return report;
 }
@@ -568,13 +667,15 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
     }
 
     std::list<Directions> directions;
+    std::list<Noise> noises;                           // one a channel
     std::vector<std::packaged_task<Outcome()>> tasks;  // channels x models
     std::vector<std::future<Outcome>> futures;
     for (const Channel& channel : dataset.channels) {
         if (directions.empty() || !same_directions(channel, directions.back().samples))
             directions.emplace_back(channel);
+        noises.push_back(noise_of(channel));
         for (const ModelRequest& model : models) {
-            const Work work{engine_, channel, directions.back(), dataset.unit, model, options, control};
+            const Work work{engine_, channel, directions.back(), noises.back(), dataset.unit, model, options, control};
             tasks.emplace_back([work] { return try_fit(work); });
             futures.push_back(tasks.back().get_future());
         }
@@ -586,10 +687,11 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
                 workers_->post(std::move(tasks[i]), dataset.channels[i / models.size()].samples.size());
     for (auto& future : futures) future.wait();  // tasks refer to this call's arguments
     auto future = futures.begin();
+    auto noise = noises.begin();
     for (const Channel& channel : dataset.channels) {
         std::vector<Outcome> outcomes;
         for (std::size_t i = 0; i < models.size(); ++i) outcomes.push_back((future++)->get());
-        report.channels.push_back(rank(channel, std::move(outcomes)));
+        report.channels.push_back(rank(channel, (noise++)->record, options.rank_by, std::move(outcomes)));
     }
     return report;
 }

@@ -33,12 +33,17 @@ struct ModelRequest {
     bool operator==(const ModelRequest&) const = default;
 };
 
+/// What fits are sorted and ranked by, each the less the better; those without it come last.
+enum class RankBy { loss, aicc, bic, held_out, log10_rmse };
+
 struct FitOptions {
     Loss loss = Loss::cosine_l2;
     Effort effort = Effort::standard;
     std::optional<kernels::Precision> precision{};  ///< none: the best that may be used
     std::uint64_t seed = 1;
     std::chrono::duration<double> time_limit{30};  ///< of the whole request
+    bool judge = true;                             ///< also held-out errors, albedo and physics
+    RankBy rank_by = RankBy::loss;                 ///< held_out needs judge
 
     bool operator==(const FitOptions&) const = default;
 };

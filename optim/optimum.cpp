@@ -27,25 +27,6 @@ constexpr std::size_t kThinTo = 2000;
 /// Ends of the quadratic search that the descent for another loss starts from.
 constexpr std::size_t kPolished = 6;
 
-/// A point to start from.
-struct Start {
-    std::vector<double> parameters;
-    double scale = 1;
-};
-
-/// The smaller variant's optimum with further lobes of no height.
-Start extended(const Model& model, const Optimum& smaller) {
-    Start start{{}, smaller.scale};
-    for (const kernels::Parameter& parameter : model.parameters) {
-        const auto known = smaller.model->find(parameter.name);
-        const bool logarithmic = parameter.scale == kernels::Scale::logarithmic;
-        start.parameters.push_back(known         ? smaller.parameters[*known]
-                                   : logarithmic ? std::sqrt(parameter.typical_min * parameter.typical_max)
-                                                 : 0.0);
-    }
-    return start;
-}
-
 /// Starts within each special case that the bounds leave open.
 std::vector<std::vector<double>> special_starts(const Task& task, SpaceLoss& loss) {
     const SearchSpace& space = loss.space();
@@ -90,9 +71,9 @@ Levels levels_of(const Task& task) {
 
 /// A start where the model is 0 or nearly so at a sample has no slope, or one that leads far off: adds each with its
 /// constant terms raised to the data's.
-void add_lit(const Task& task, const std::vector<Interval>& bounds, const Levels& levels, std::vector<Start>& starts) {
+void add_lit(const Task& task, const std::vector<Interval>& bounds, const Levels& levels, std::vector<Point>& starts) {
     for (std::size_t i = 0, size = starts.size(); i < size; ++i) {
-        Start lit = starts[i];
+        Point lit = starts[i];
         for (const kernels::Term& term : task.model.terms) {
             if (!term.factor || !term.of.empty()) continue;
             double& value = lit.parameters[*term.factor];
@@ -101,15 +82,6 @@ void add_lit(const Task& task, const std::vector<Interval>& bounds, const Levels
         }
         if (lit.parameters != starts[i].parameters) starts.push_back(std::move(lit));
     }
-}
-
-/// With weights of a size that single precision can sum: sum of w y^2 near 1.
-Weighted balanced(Weighted weighted) {
-    if (!(weighted.norm > 0)) return weighted;
-    const double unit = std::exp2(std::round(std::log2(weighted.norm)));
-    for (double& w : weighted.weight) w = w / unit / unit;
-    weighted.norm /= unit;
-    return weighted;
 }
 
 /// A part of many samples, with weights so that sums over it estimate those over all.
@@ -151,12 +123,24 @@ Thinned thinned(const Weighted& all, std::span<const kernels::Direction> directi
 
 /// The end of a search in parameters, with what its record says so far.
 Optimum optimum_at(const Task& task, const SearchSpace& space, const Minimum& end, const SearchRecord& record) {
-    Optimum optimum{&task.model, {}, 1, end.loss2, record};
+    Optimum optimum{{}, &task.model, end.loss2, record, {}, {}};
     optimum.parameters = space.parameters(end.u, end.coefficients, optimum.scale);
     optimum.record.stop_reason = end.stop;
     if (end.stop == StopReason::converged && SearchSpace::out_of_range(end.coefficients))
         optimum.record.stop_reason = StopReason::roundoff;
     return optimum;
+}
+
+/// The search's other ends, a few of them, and the losses of all.
+void add_others(const SearchSpace& space, SpaceLoss& loss, SearchResult& found, Optimum& optimum) {
+    constexpr std::size_t kMost = 6;
+    for (std::size_t i = 1; i < std::min(kMost, found.minima.size()); ++i) {
+        loss.complete(found.minima[i]);
+        Point point;
+        point.parameters = space.parameters(found.minima[i].u, found.minima[i].coefficients, point.scale);
+        optimum.others.push_back(std::move(point));
+    }
+    optimum.ends = found.ends;
 }
 
 /// What settling made of an optimum, unless the parameters themselves have too few digits for the search's point.
@@ -228,20 +212,44 @@ Optimum finished(const Task& task, const std::vector<Interval>& bounds, const We
 
 /// The search in all parameters, for a loss that is not quadratic in the coefficients.
 Optimum search_in_all(const Task& task, const std::vector<Interval>& bounds, double level,
-                      const std::vector<Start>& starts) {
+                      const std::vector<Point>& starts) {
     const SearchSpace space(task.model, bounds, Unknowns::all, task.scale, level, Charts::used, &task.directions);
     Evaluator evaluator(task.engine, task.model, task.precision.value_or(task.engine.best_precision()), task.directions,
                         task.weighted.y, task.weighted.weight);
     SpaceLoss loss(evaluator, space, 1, task.weighted.logarithmic);
     std::vector<std::vector<double>> points;
-    for (const Start& start : starts) points.push_back(space.coordinates(start.parameters, start.scale));
+    for (const Point& start : starts) points.push_back(space.coordinates(start.parameters, start.scale));
     SpaceLoss* const stage = &loss;
-    const SearchResult found =
+    SearchResult found =
         search_space({&stage, 1}, budget(task.effort, space.dimension(), task.model.repeats), task.control, points);
-    return optimum_at(task, space, found.best, found.record);
+    Optimum optimum = optimum_at(task, space, found.best, found.record);
+    add_others(space, loss, found, optimum);
+    return optimum;
 }
 
 }  // namespace
+
+Point extended(const Model& model, const Model& smaller, const Point& point) {
+    Point start{{}, point.scale};
+    for (const kernels::Parameter& parameter : model.parameters) {
+        const auto known = smaller.find(parameter.name);
+        const bool logarithmic = parameter.scale == kernels::Scale::logarithmic;
+        start.parameters.push_back(known         ? point.parameters[*known]
+                                   : logarithmic ? std::sqrt(parameter.typical_min * parameter.typical_max)
+                                                 : 0.0);
+    }
+    return start;
+}
+
+Weighted balanced(Weighted weighted) {
+    if (!(weighted.norm > 0)) return weighted;
+    const double unit = std::exp2(std::round(std::log2(weighted.norm)));
+    for (double& w : weighted.weight) w = w / unit / unit;
+    weighted.norm /= unit;
+    return weighted;
+}
+
+double coefficient_level(const Task& task) { return 0.1 * levels_of(task).least; }
 
 Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, const Optimum* smaller) {
     // A logarithmic loss is searched through the relative one, which it equals for small residuals.
@@ -272,30 +280,36 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
 
     std::vector<std::vector<double>> seeds = special_starts(task, *stages.front());
     if (smaller != nullptr) {
-        const Start start = extended(task.model, *smaller);
+        const Point start = extended(task.model, *smaller->model, *smaller);
         seeds.push_back(space.coordinates(start.parameters, start.scale));
     }
     SearchResult found =
         search_space(stages, budget(task.effort, space.dimension(), task.model.repeats), task.control, seeds);
     found.best.loss2 /= scale2;
     Optimum optimum = optimum_at(task, space, found.best, found.record);
-    if (!task.weighted.logarithmic)
-        return finished(task, bounds, quadratic, Unknowns::nonlinear, 1, scale2, std::move(optimum));
+    if (!task.weighted.logarithmic) {
+        Optimum end = finished(task, bounds, quadratic, Unknowns::nonlinear, 1, scale2, optimum);
+        add_others(space, exact, found, end);
+        return end;
+    }
 
-    std::vector<Start> starts;
-    if (smaller != nullptr) starts.push_back(extended(task.model, *smaller));
+    std::vector<Point> starts;
+    if (smaller != nullptr) starts.push_back(extended(task.model, *smaller->model, *smaller));
     for (std::size_t i = 0; i < std::min(kPolished, found.minima.size()); ++i) {
         exact.complete(found.minima[i]);
-        Start start;
+        Point start;
         start.parameters = space.parameters(found.minima[i].u, found.minima[i].coefficients, start.scale);
         starts.push_back(std::move(start));
     }
     const Levels levels = levels_of(task);
     add_lit(task, bounds, levels, starts);
-    const double level = 0.1 * levels.least;
+    const double level = coefficient_level(task);
     optimum = search_in_all(task, bounds, level, starts);
     optimum.record.evaluations += found.record.evaluations;
-    return finished(task, bounds, task.weighted, Unknowns::all, level, 1, std::move(optimum));
+    Optimum end = finished(task, bounds, task.weighted, Unknowns::all, level, 1, optimum);
+    end.others = std::move(optimum.others);
+    end.ends = std::move(optimum.ends);
+    return end;
 }
 
 }  // namespace brdfit::optim

@@ -29,13 +29,26 @@ struct Task {
     ScaleRange scale;  ///< of relative data; {1, 1} for absolute data
 };
 
-struct Optimum {
+/// A material: what a descent starts from.
+struct Point {
+    std::vector<double> parameters;  ///< in the model's unit
+    double scale = 1;                ///< measured = scale * f
+};
+
+struct Optimum : Point {  ///< within the bounds
     const kernels::Model* model = nullptr;
-    std::vector<double> parameters;  ///< in the model's unit, within the bounds
-    double scale = 1;
     double relative_loss2 = 0;  ///< loss^2 over that of f = 0; for `log` loss^2
     SearchRecord record;
+    std::vector<Point> others{};  ///< ends of the search apart from the best one, best first, not polished
+    std::vector<double> ends{};   ///< relative_loss2 of all descents of the search, as it saw it
 };
+
+/// The smaller variant's point with further lobes of no height.
+Point extended(const kernels::Model& model, const kernels::Model& smaller, const Point& point);
+/// With weights of a size that single precision can sum: sum of w y^2 near 1.
+Weighted balanced(Weighted weighted);
+/// Size from which on coefficients are searched by their logarithm, where they are coordinates.
+double coefficient_level(const Task& task);
 
 /// Searches within the bounds (one for each parameter, in the model's unit). `smaller`: the optimum of a variant with
 /// fewer lobes, whose loss this one will not exceed; may be nullptr. Throws kernels::DeviceError, kernels::BuildError,

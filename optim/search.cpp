@@ -335,6 +335,7 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
         exact.complete(result.best);
         result.record = {1, 1, 1, StopReason::converged, 0};
         result.minima.push_back(result.best);
+        result.ends.push_back(result.best.loss2);
         return result;
     }
 
@@ -376,6 +377,7 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
 
     result.minima = distinct_ends(ends, 1e-2);
     const std::vector<Minimum> searched = ends;
+    for (const Minimum& end : searched) result.ends.push_back(end.loss2);
     for (SpaceLoss* const stage : stages.last(std::max<std::size_t>(1, stages.size() - 1))) {
         const std::vector<Minimum> best = distinct_ends(ends, 1e-2);
         std::vector<std::vector<double>> from;

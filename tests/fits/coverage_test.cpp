@@ -1,0 +1,77 @@
+// Intervals of 95 % against repetition: noise put on the bundled samples again and again.
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdio>
+
+#include "tests/fits/fitting.h"
+#include "tests/fits/truth.h"
+
+namespace brdfit::tests {
+namespace {
+
+using optim::Dataset;
+using optim::Fit;
+using optim::FitOptions;
+using optim::FittedParameter;
+
+constexpr double kNoise = 0.02;
+
+FitOptions options_for(optim::Effort effort) {
+    FitOptions options;
+    options.effort = effort;
+    options.judge = false;
+    options.time_limit = std::chrono::hours(2);
+    return options;
+}
+
+class Coverage : public testing::TestWithParam<std::tuple<std::string, std::string>> {};
+INSTANTIATE_TEST_SUITE_P(
+    Cells, Coverage,
+    testing::Combine(testing::ValuesIn(sample_names()),
+                     testing::Values("phong", "ward", "lafortune_1", "lafortune_2", "he_torrance")),
+    [](const auto& parameter) { return std::get<0>(parameter.param) + "_" + std::get<1>(parameter.param); });
+
+/// The truth is the fit of the data without noise: what the estimate tends to, whether the model is right or not.
+TEST_P(Coverage, OfTheTruthIsNinetyFivePercent) {
+    const auto& [sample, model] = GetParam();
+    const std::size_t replicates = count_from("BRDFIT_REPLICATES", long_form() ? 1000 : 100);
+    const optim::Channel exact = noise_free(sample);
+    const optim::Report clean = fitter().fit(dataset_of(exact), {request(model)}, options_for(optim::Effort::standard));
+    const Fit& truth = only(clean);
+    Dataset dataset{"replicates", optim::Unit::per_steradian, {}};
+    Random random(12);
+    for (std::size_t i = 0; i < replicates; ++i) dataset.channels.push_back(measured(exact, kNoise, 0, random));
+    const optim::Report report = fitter().fit(dataset, {request(model)}, options_for(optim::Effort::draft));
+    double told_of_all = 0;
+    double covered_of_all = 0;
+    for (std::size_t k = 0; k < truth.parameters.size(); ++k) {
+        const FittedParameter& t = truth.parameters[k];
+        double told = 0, covered = 0, bounds = 0, below = 0, width = 0;
+        for (std::size_t c = 0; c < replicates; ++c) {
+            const FittedParameter& p = only(report, c).parameters[k];
+            bounds += p.at_bound;
+            if (!p.interval_95) continue;
+            ++told;
+            const auto [low, high] = *p.interval_95;
+            covered += low <= t.value && t.value <= high;
+            below += high < t.value;
+            width += (high - low);
+        }
+        std::printf(
+            "COVER %-15s %-12s %-8s %10.4g %s: %5.1f %% of %4.0f; too low %4.1f %%; at bound %4.0f; width %.2g\n",
+            sample.c_str(), model.c_str(), t.name.c_str(), t.value, t.at_bound ? "(bound)" : "       ",
+            100 * covered / told, told, 100 * below / told, bounds, width / told);
+        if (t.at_bound || told == 0) continue;
+        told_of_all += told;
+        covered_of_all += covered;
+        const double error = std::sqrt(0.05 * 0.95 / told);
+        EXPECT_GE(covered / told, 0.93 - 2.6 * error) << t.name;
+        EXPECT_LE(covered / told, 0.97 + 2.6 * error) << t.name;
+    }
+    std::printf("COVER %-15s %-12s all: %.1f %%\n", sample.c_str(), model.c_str(), 100 * covered_of_all / told_of_all);
+}
+
+}  // namespace
+}  // namespace brdfit::tests
