@@ -97,8 +97,8 @@ public:
             if (p.undetermined) continue;
             p.std_error = std_error;
             const Interval& bounds = estimate_.bounds[*c.parameter];
-            const double low = c.value(c.z(c.p) - t * error);
-            const double high = c.value(c.z(c.p) + t * error);
+            const double low = c.value(profile_end(i, -t * error));
+            const double high = c.value(profile_end(i, t * error));
             if (std::isfinite(low) && std::isfinite(high))
                 p.interval_95 = {std::clamp(low, bounds.min, c.p), std::clamp(high, c.p, bounds.max)};
         }
@@ -217,8 +217,8 @@ private:
         const VectorXd white = lambda.cwiseSqrt().cwiseInverse();
         const VectorXd errors = b.diagonal().cwiseSqrt().cwiseQuotient(lambda);
         const MatrixXd directions = unit_.asDiagonal() * v;
-        const MatrixXd relative = white.asDiagonal() * curvature(directions, errors, lambda) * white.asDiagonal();
-        const Eigen::SelfAdjointEigenSolver<MatrixXd> bend(relative);
+        const Eigen::SelfAdjointEigenSolver<MatrixXd> bend(MatrixXd::Identity(white.size(), white.size()) +
+                                                           misfit_curvature(directions, errors, white));
         constexpr double kLeast = 0.05;  // less is a kink, or no minimum
         const VectorXd inverse = bend.eigenvalues().cwiseMax(kLeast).cwiseInverse();
         const MatrixXd h_inverse = white.asDiagonal() * bend.eigenvectors() * inverse.asDiagonal() *
@@ -228,73 +228,36 @@ private:
         a_inverse_ = unit_.asDiagonal() * a_inverse * unit_.asDiagonal();
     }
 
-    /// Half the loss's curvature along the directions, from gradients at either side, in one launch.
-    MatrixXd curvature(const MatrixXd& directions, const VectorXd& errors, const VectorXd& lambda) {
-        const Task& task = estimate_.task;
-        const kernels::Model& model = task.model;
+    /// What misfit adds to half the loss's curvature, in units of Gauss and Newton's: from gradients at either side of
+    /// the point along each direction. Noise alone bends it as well; of what that explains nothing is left.
+    MatrixXd misfit_curvature(const MatrixXd& directions, const VectorXd& errors, const VectorXd& white) {
         const Index m = directions.cols();
-        const std::size_t terms = model.terms.size();
-        std::vector<double> parameters, coefficients;
-        VectorXd lengths(m);
-        std::vector<std::vector<double>> points;  // the unknowns' values at each
-        for (Index e = 0; e < m; ++e) {
-            lengths(e) = length(directions.col(e), errors(e));
-            for (const double sign : {-1.0, 1.0}) {
-                Point point = estimate_.point;
-                std::vector<double>& unknowns = points.emplace_back();
-                for (Index i = 0; i < count(); ++i) {
-                    const Coordinate& c = coordinates_[at(i)];
-                    unknowns.push_back(c.value(c.z(c.p) + sign * lengths(e) * directions(i, e)));
-                    (c.parameter ? point.parameters[*c.parameter] : point.scale) = unknowns.back();
-                }
-                parameters.insert(parameters.end(), point.parameters.begin(), point.parameters.end());
-                for (const double c : model.coefficients(point.parameters)) coefficients.push_back(c * point.scale);
-            }
-        }
-        const Weighted data = task.weighted.logarithmic ? task.weighted : balanced(task.weighted);
-        const double unit2 =
-            task.weighted.norm > 0 && !task.weighted.logarithmic ? std::pow(task.weighted.norm / data.norm, 2) : 1.0;
-        refitter_.evaluator().assign(data.y, data.weight);
-        kernels::Batch batch;
-        refitter_.evaluator().loss(parameters, coefficients, task.weighted.logarithmic, batch);
+        const MatrixXd to = directions * white.asDiagonal();
         MatrixXd h(m, m);
+        MatrixXd noise2(m, m);
         for (Index e = 0; e < m; ++e) {
-            VectorXd difference = VectorXd::Zero(count());
+            const double step = length(directions.col(e), errors(e));
+            std::array<VectorXd, 2> gradients;
+            std::array<MatrixXd, 2> slopes;
             for (const std::size_t side : {0U, 1U}) {
-                const std::size_t k = 2 * at(e) + side;
-                const std::vector<double> gradient = by_unknown(batch, k, points[k], coefficients.data() + k * terms);
-                for (Index i = 0; i < count(); ++i)
-                    difference(i) +=
-                        (side == 0 ? -1 : 1) * gradient[at(i)] * coordinates_[at(i)].slope(points[k][at(i)]);
+                MatrixXd by_z;
+                const kernels::Values there = stepped((side == 0 ? -step : step) * directions.col(e), by_z);
+                const Weighted& weighted = estimate_.task.weighted;
+                slopes[side] = by_z * to;
+                gradients[side] = slopes[side].transpose() * pulls(weighted, residuals(weighted, there.f));
             }
-            h.col(e) = unit2 * directions.transpose() * difference / (4 * lengths(e));
+            const double per = white(e) / (2 * step);
+            h.col(e) = per * (gradients[1] - gradients[0]);
+            noise2.col(e) =
+                (spreads_.asDiagonal() * (per * (slopes[1] - slopes[0]))).colwise().squaredNorm().transpose();
         }
-        const MatrixXd mean = (h + h.transpose()) / 2;
-        // Where a slope is lost the squares' own curvature stands.
-        return mean.allFinite() ? mean : MatrixXd(lambda.asDiagonal());
-    }
-
-    /// d loss^2/d unknown of a candidate.
-    [[nodiscard]] std::vector<double> by_unknown(const kernels::Batch& batch, std::size_t candidate,
-                                                 const std::vector<double>& unknowns, const double* c) const {
-        const kernels::Model& model = estimate_.task.model;
-        const std::size_t terms = model.terms.size();
-        const double* by_c = batch.by_coefficient.data() + candidate * terms;
-        double scale = estimate_.point.scale;
-        for (std::size_t i = 0; i < unknowns.size(); ++i)
-            if (!coordinates_[i].parameter) scale = unknowns[i];
-        std::vector<double> result;
-        for (const Coordinate& coordinate : coordinates_) {
-            double sum = 0;
-            if (coordinate.parameter)
-                sum = batch.by_parameter[candidate * model.parameters.size() + *coordinate.parameter];
-            for (std::size_t t = 0; t < terms; ++t) {
-                if (!coordinate.parameter) sum += by_c[t] * c[t] / scale;
-                else if (model.terms[t].factor == coordinate.parameter) sum += by_c[t] * scale;
-            }
-            result.push_back(sum);
-        }
-        return result;
+        // Entry by entry: below 1.5 standard deviations of the noise nothing, above 2.5 all.
+        MatrixXd misfit = (h + h.transpose()) / 2 - MatrixXd::Identity(m, m);
+        const MatrixXd deviation = ((noise2 + noise2.transpose()) / 2).cwiseSqrt();
+        for (Index e = 0; e < m; ++e)
+            for (Index f = 0; f < m; ++f)
+                misfit(e, f) *= std::clamp(std::abs(misfit(e, f)) / deviation(e, f) - 1.5, 0.0, 1.0);
+        return misfit.allFinite() ? misfit : MatrixXd::Zero(m, m);
     }
 
     /// Of a step along a direction: half a standard error, but neither rounding nor another place.
@@ -314,6 +277,74 @@ private:
                     length = std::min(length, 0.9 * std::abs(c.z(c.p) - c.z(end)) / std::abs(direction(i)));
         }
         return length;
+    }
+
+    /// The unknowns a step away, none beyond its bounds, and the model there with its slopes by z.
+    kernels::Values stepped(const VectorXd& step, MatrixXd& by_z) const {
+        Point point = estimate_.point;
+        std::vector<double> unknowns;
+        for (Index i = 0; i < count(); ++i) {
+            const Coordinate& c = coordinates_[at(i)];
+            double value = c.value(c.z(c.p) + step(i));
+            if (c.parameter) {
+                const Interval& bounds = estimate_.bounds[*c.parameter];
+                value = std::clamp(value, bounds.min, bounds.max);
+            }
+            unknowns.push_back(value);
+            (c.parameter ? point.parameters[*c.parameter] : point.scale) = value;
+        }
+        kernels::Values there = refitter_.values(point, true);
+        by_z.resize(n_, count());
+        for (Index i = 0; i < count(); ++i) {
+            const Coordinate& c = coordinates_[at(i)];
+            const double* row = c.parameter ? there.by_parameter.data() + *c.parameter * at(n_) : there.f.data();
+            const double slope = !c.parameter                                   ? 1.0
+                                 : unknowns[at(i)] == 0 && c.own == Own::square ? 0.0
+                                                                                : c.slope(unknowns[at(i)]);
+            by_z.col(i) = slope * Eigen::Map<const VectorXd>(row, n_);
+        }
+        return there;
+    }
+
+    /// Where a parameter's interval ends, on its own scale: where the model has moved, less what the other unknowns can
+    /// make up for, as far as a linear model has after `reach`. Takes up skewness and bent valleys.
+    double profile_end(Index i, double reach) const {
+        const Coordinate& c = coordinates_[at(i)];
+        if (!(std::abs(reach) > 0) || !(a_inverse_(i, i) > 0)) return c.z(c.p) + reach;
+        constexpr int kLooks = 4;
+        constexpr double kNear = 0.1;
+        constexpr double kMost = 8;  // times the reach
+        const VectorXd direction = a_inverse_.col(i) / a_inverse_(i, i);
+        const VectorXd root = root_weights();
+        const double unit = root.cwiseProduct(slopes_ * direction).norm();
+        const double target = std::abs(reach) * unit;
+        const Eigen::Map<const VectorXd> here(values_.f.data(), n_);
+        double length = reach;
+        for (int look = 0; look < kLooks; ++look) {
+            MatrixXd by_z;
+            const kernels::Values there = stepped(length * direction, by_z);
+            VectorXd moved = root.cwiseProduct(Eigen::Map<const VectorXd>(there.f.data(), n_) - here);
+            MatrixXd others(n_, count() - 1);
+            for (Index k = 0, column = 0; k < count(); ++k)
+                if (k != i) others.col(column++) = root.cwiseProduct(by_z.col(k));
+            for (Index k = 0; k < others.cols(); ++k)
+                if (const double norm = others.col(k).norm(); norm > 0) others.col(k) /= norm;
+            if (!moved.allFinite() || !others.allFinite()) return c.z(c.p) + reach;
+            if (others.cols() > 0) {
+                const MatrixXd normal = others.transpose() * others;
+                const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(normal);
+                const VectorXd along = eigen.eigenvectors().transpose() * (others.transpose() * moved);
+                VectorXd taken = VectorXd::Zero(along.size());
+                for (Index e = 0; e < along.size(); ++e)
+                    if (eigen.eigenvalues()(e) > kUndetermined) taken(e) = along(e) / eigen.eigenvalues()(e);
+                moved -= others * (eigen.eigenvectors() * taken);
+            }
+            const double ratio = target / std::max(moved.norm(), 1e-300);
+            length =
+                std::clamp(length * std::clamp(ratio, 0.5, 2.0), -kMost * std::abs(reach), kMost * std::abs(reach));
+            if (std::abs(ratio - 1) < kNear) break;
+        }
+        return c.z(c.p) + length;
     }
 
     [[nodiscard]] double quantile() const {

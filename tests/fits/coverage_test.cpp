@@ -26,6 +26,21 @@ FitOptions options_for(optim::Effort effort) {
     return options;
 }
 
+/// Which lobe is called the first is a convention: a fit with its lobes in the order that is nearest to the truth's.
+std::vector<FittedParameter> matched(const Fit& fit, const Fit& truth) {
+    std::vector<FittedParameter> result = fit.parameters;
+    if (fit.lobes != 2) return result;
+    std::vector<FittedParameter> swapped = result;
+    std::swap_ranges(swapped.begin() + 1, swapped.begin() + 4, swapped.begin() + 4);
+    const auto distance = [&](const std::vector<FittedParameter>& p) {
+        double sum = 0;
+        for (std::size_t k = 1; k < p.size(); ++k)
+            sum += std::pow((p[k].value - truth.parameters[k].value) / (std::abs(truth.parameters[k].value) + 0.1), 2);
+        return sum;
+    };
+    return distance(swapped) < distance(result) ? swapped : result;
+}
+
 class Coverage : public testing::TestWithParam<std::tuple<std::string, std::string>> {};
 INSTANTIATE_TEST_SUITE_P(
     Cells, Coverage,
@@ -41,16 +56,18 @@ TEST_P(Coverage, OfTheTruthIsNinetyFivePercent) {
     const optim::Report clean = fitter().fit(dataset_of(exact), {request(model)}, options_for(optim::Effort::standard));
     const Fit& truth = only(clean);
     Dataset dataset{"replicates", optim::Unit::per_steradian, {}};
-    Random random(12);
+    Random random(count_from("BRDFIT_SEED", 12) + std::hash<std::string>{}(sample + model));
     for (std::size_t i = 0; i < replicates; ++i) dataset.channels.push_back(measured(exact, kNoise, 0, random));
-    const optim::Report report = fitter().fit(dataset, {request(model)}, options_for(optim::Effort::draft));
+    const optim::Report report = fitter().fit(dataset, {request(model)}, options_for(optim::Effort::standard));
+    std::vector<std::vector<FittedParameter>> fits;
+    for (std::size_t c = 0; c < replicates; ++c) fits.push_back(matched(only(report, c), truth));
     double told_of_all = 0;
     double covered_of_all = 0;
     for (std::size_t k = 0; k < truth.parameters.size(); ++k) {
         const FittedParameter& t = truth.parameters[k];
         double told = 0, covered = 0, bounds = 0, below = 0, width = 0;
         for (std::size_t c = 0; c < replicates; ++c) {
-            const FittedParameter& p = only(report, c).parameters[k];
+            const FittedParameter& p = fits[c][k];
             bounds += p.at_bound;
             if (!p.interval_95) continue;
             ++told;
