@@ -97,8 +97,8 @@ public:
             if (p.undetermined) continue;
             p.std_error = std_error;
             const Interval& bounds = estimate_.bounds[*c.parameter];
-            const double low = c.value(profile_end(i, -t * error));
-            const double high = c.value(profile_end(i, t * error));
+            const double low = c.value(c.z(c.p) - t * error);
+            const double high = c.value(c.z(c.p) + t * error);
             if (std::isfinite(low) && std::isfinite(high))
                 p.interval_95 = {std::clamp(low, bounds.min, c.p), std::clamp(high, c.p, bounds.max)};
         }
@@ -168,7 +168,7 @@ private:
         if (estimate_.sigma.empty()) {
             VectorXd result = pulls(task.weighted, residuals_);
             for (Index j = 0; j < n_; ++j) {  // HC3: a sample that draws the fit near looks better than it is
-                const double leverage = rows.row(j) * a_inverse * rows.row(j).transpose();
+                const double leverage = rows.cols() == 0 ? 0.0 : rows.row(j).dot(a_inverse * rows.row(j).transpose());
                 result(j) /= std::max(1 - leverage, 0.05);
             }
             return result;
@@ -195,7 +195,13 @@ private:
         rows *= unit_.asDiagonal();
         cov_ = MatrixXd::Constant(p, p, NAN);
         determined_.assign(at(p), true);
-        if (!rows.allFinite() || p == 0) return;
+        if (p == 0) {  // all are fixed or at bounds
+            slopes_ = slopes;
+            a_inverse_ = MatrixXd(0, 0);
+            spreads_ = spreads(rows, a_inverse_);
+            return;
+        }
+        if (!rows.allFinite()) return;
         const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(rows.transpose() * rows);
         std::vector<Index> kept;
         for (Index e = 0; e < p; ++e) {
@@ -228,36 +234,46 @@ private:
         a_inverse_ = unit_.asDiagonal() * a_inverse * unit_.asDiagonal();
     }
 
+    /// From 0 to 1: whether residuals are larger than noise makes them, by 2 standard deviations of their weighted sum
+    /// of squares or less, or by 3 or more. Residuals that are noise bend the loss at random: that says nothing.
+    [[nodiscard]] double misfit() const {
+        if (estimate_.sigma.empty()) return 1;
+        double noise = 0;
+        double squares = 0;
+        for (Index j = 0; j < n_; ++j) {
+            const double weight =
+                estimate_.task.weighted.weight[at(j)] * std::pow(residuals_.by_f[at(j)], 2);  // of the model's square
+            if (!(weight > 0)) continue;
+            const double expected = spreads_(j) * spreads_(j) / weight;
+            noise += expected;
+            squares += 2 * expected * expected;
+        }
+        const double size = noise * std::sqrt(2 / estimate_.degrees);  // what is not known of sigma^2
+        return std::clamp((residuals_.loss2 - noise) / std::hypot(std::sqrt(squares), size) - 2, 0.0, 1.0);
+    }
+
     /// What misfit adds to half the loss's curvature, in units of Gauss and Newton's: from gradients at either side of
-    /// the point along each direction. Noise alone bends it as well; of what that explains nothing is left.
+    /// the point along each direction.
     MatrixXd misfit_curvature(const MatrixXd& directions, const VectorXd& errors, const VectorXd& white) {
         const Index m = directions.cols();
+        const double share = misfit();
+        if (share == 0) return MatrixXd::Zero(m, m);
         const MatrixXd to = directions * white.asDiagonal();
         MatrixXd h(m, m);
-        MatrixXd noise2(m, m);
         for (Index e = 0; e < m; ++e) {
             const double step = length(directions.col(e), errors(e));
             std::array<VectorXd, 2> gradients;
-            std::array<MatrixXd, 2> slopes;
             for (const std::size_t side : {0U, 1U}) {
                 MatrixXd by_z;
                 const kernels::Values there = stepped((side == 0 ? -step : step) * directions.col(e), by_z);
                 const Weighted& weighted = estimate_.task.weighted;
-                slopes[side] = by_z * to;
-                gradients[side] = slopes[side].transpose() * pulls(weighted, residuals(weighted, there.f));
+                gradients[side] = to.transpose() * (by_z.transpose() * pulls(weighted, residuals(weighted, there.f)));
             }
             const double per = white(e) / (2 * step);
             h.col(e) = per * (gradients[1] - gradients[0]);
-            noise2.col(e) =
-                (spreads_.asDiagonal() * (per * (slopes[1] - slopes[0]))).colwise().squaredNorm().transpose();
         }
-        // Entry by entry: below 1.5 standard deviations of the noise nothing, above 2.5 all.
-        MatrixXd misfit = (h + h.transpose()) / 2 - MatrixXd::Identity(m, m);
-        const MatrixXd deviation = ((noise2 + noise2.transpose()) / 2).cwiseSqrt();
-        for (Index e = 0; e < m; ++e)
-            for (Index f = 0; f < m; ++f)
-                misfit(e, f) *= std::clamp(std::abs(misfit(e, f)) / deviation(e, f) - 1.5, 0.0, 1.0);
-        return misfit.allFinite() ? misfit : MatrixXd::Zero(m, m);
+        const MatrixXd bend = (h + h.transpose()) / 2 - MatrixXd::Identity(m, m);
+        return bend.allFinite() ? MatrixXd(share * bend) : MatrixXd::Zero(m, m);
     }
 
     /// Of a step along a direction: half a standard error, but neither rounding nor another place.
@@ -306,47 +322,6 @@ private:
         return there;
     }
 
-    /// Where a parameter's interval ends, on its own scale: where the model has moved, less what the other unknowns can
-    /// make up for, as far as a linear model has after `reach`. Takes up skewness and bent valleys.
-    double profile_end(Index i, double reach) const {
-        const Coordinate& c = coordinates_[at(i)];
-        if (!(std::abs(reach) > 0) || !(a_inverse_(i, i) > 0)) return c.z(c.p) + reach;
-        constexpr int kLooks = 4;
-        constexpr double kNear = 0.1;
-        constexpr double kMost = 8;  // times the reach
-        const VectorXd direction = a_inverse_.col(i) / a_inverse_(i, i);
-        const VectorXd root = root_weights();
-        const double unit = root.cwiseProduct(slopes_ * direction).norm();
-        const double target = std::abs(reach) * unit;
-        const Eigen::Map<const VectorXd> here(values_.f.data(), n_);
-        double length = reach;
-        for (int look = 0; look < kLooks; ++look) {
-            MatrixXd by_z;
-            const kernels::Values there = stepped(length * direction, by_z);
-            VectorXd moved = root.cwiseProduct(Eigen::Map<const VectorXd>(there.f.data(), n_) - here);
-            MatrixXd others(n_, count() - 1);
-            for (Index k = 0, column = 0; k < count(); ++k)
-                if (k != i) others.col(column++) = root.cwiseProduct(by_z.col(k));
-            for (Index k = 0; k < others.cols(); ++k)
-                if (const double norm = others.col(k).norm(); norm > 0) others.col(k) /= norm;
-            if (!moved.allFinite() || !others.allFinite()) return c.z(c.p) + reach;
-            if (others.cols() > 0) {
-                const MatrixXd normal = others.transpose() * others;
-                const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(normal);
-                const VectorXd along = eigen.eigenvectors().transpose() * (others.transpose() * moved);
-                VectorXd taken = VectorXd::Zero(along.size());
-                for (Index e = 0; e < along.size(); ++e)
-                    if (eigen.eigenvalues()(e) > kUndetermined) taken(e) = along(e) / eigen.eigenvalues()(e);
-                moved -= others * (eigen.eigenvectors() * taken);
-            }
-            const double ratio = target / std::max(moved.norm(), 1e-300);
-            length =
-                std::clamp(length * std::clamp(ratio, 0.5, 2.0), -kMost * std::abs(reach), kMost * std::abs(reach));
-            if (std::abs(ratio - 1) < kNear) break;
-        }
-        return c.z(c.p) + length;
-    }
-
     [[nodiscard]] double quantile() const {
         const double degrees = estimate_.sigma.empty() ? static_cast<double>(estimate_.task.weighted.used) -
                                                              static_cast<double>(coordinates_.size())
@@ -361,8 +336,8 @@ private:
         const Interval& bounds = estimate_.bounds[*c.parameter];
         const VectorXd own = column(c);
         const VectorXd root2 = root_weights().cwiseAbs2();
-        const VectorXd cross = slopes_.transpose() * root2.cwiseProduct(own);
-        const VectorXd rest = own - slopes_ * (a_inverse_ * cross);
+        VectorXd rest = own;  // less what the others can make up for
+        if (count() > 0) rest -= slopes_ * (a_inverse_ * (slopes_.transpose() * root2.cwiseProduct(own)));
         const double curvature = root2.dot(own.cwiseProduct(rest));
         if (!(curvature > kUndetermined * root2.dot(own.cwiseAbs2()))) return std::nullopt;
         const double centre = c.z(c.p) - pulls(estimate_.task.weighted, residuals_).dot(rest) / curvature;
@@ -424,6 +399,7 @@ private:
             }
             result.remarks.push_back("the data determine " + names + " " + what + ranges);
         };
+        if (count() == 0) return;
         for (const VectorXd& direction : null_) together(unit_.cwiseProduct(direction), false);
         VectorXd sizes(count());
         for (Index i = 0; i < count(); ++i) sizes(i) = coordinates_[at(i)].size(estimate_.task.model);
