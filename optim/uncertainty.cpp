@@ -373,11 +373,14 @@ private:
 
     /// Parameters that are open by as much as their own size while a combination of them is well known.
     void remarks(Uncertainty& result, std::span<const double> units) const {
+        VectorXd sizes(count());
+        for (Index i = 0; i < count(); ++i) sizes(i) = coordinates_[at(i)].size(estimate_.task.model);
         const auto together = [&](const VectorXd& direction, bool known) {
             std::vector<Index> large;
-            const double most = direction.cwiseAbs().maxCoeff();
+            const VectorXd shares = direction.cwiseQuotient(sizes);
+            const double most = shares.cwiseAbs().maxCoeff();
             for (Index i = 0; i < count(); ++i)
-                if (coordinates_[at(i)].parameter && std::abs(direction(i)) > 0.2 * most) large.push_back(i);
+                if (coordinates_[at(i)].parameter && std::abs(shares(i)) > 0.2 * most) large.push_back(i);
             if (large.size() < 2) return;
             std::string names, ranges;
             for (const Index i : large) {
@@ -401,12 +404,10 @@ private:
         };
         if (count() == 0) return;
         for (const VectorXd& direction : null_) together(unit_.cwiseProduct(direction), false);
-        VectorXd sizes(count());
-        for (Index i = 0; i < count(); ++i) sizes(i) = coordinates_[at(i)].size(estimate_.task.model);
         const VectorXd inverse = sizes.cwiseInverse();
         const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(inverse.asDiagonal() * cov_ * inverse.asDiagonal());
-        constexpr double kOpen = 0.25;    // standard error, of a parameter's size
-        constexpr double kNarrow = 0.95;  // correlation
+        constexpr double kOpen = 0.25;   // standard error, of a parameter's size
+        constexpr double kNarrow = 0.8;  // correlation
         for (Index e = count(); e-- > 0 && std::sqrt(std::max(eigen.eigenvalues()(e), 0.0)) > kOpen;) {
             const VectorXd direction = eigen.eigenvectors().col(e);
             Index first = 0;
