@@ -78,6 +78,12 @@ inline std::optional<double> read_number(const nlohmann::json& value, const Plac
     return value.get<double>();
 }
 
+inline std::optional<bool> read_flag(const nlohmann::json& value, const Place& place) {
+    if (value.is_boolean()) return value.get<bool>();
+    place.fail("wrong_type", "must be true or false");
+    return std::nullopt;
+}
+
 inline std::optional<std::string> read_text(const nlohmann::json& value, const Place& place,
                                             std::size_t longest = kLongestName) {
     if (!value.is_string()) {

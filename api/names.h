@@ -10,6 +10,7 @@
 #include "kernels/engine.h"
 #include "kernels/selftest.h"
 #include "optim/dataset.h"
+#include "optim/fit.h"
 #include "optim/loss.h"
 #include "optim/report.h"
 #include "optim/search.h"
@@ -56,6 +57,19 @@ inline constexpr std::array<Named<optim::Requirement>, 3> kRequirements{{
     {optim::Requirement::energy_conserving, "energy_conserving", "no directional albedo above 1"},
     {optim::Requirement::reciprocal, "reciprocal", "f(u, v) = f(v, u)"},
     {optim::Requirement::nonnegative, "nonnegative", "no value below 0"},
+}};
+inline constexpr std::array<Named<optim::RankBy>, 5> kRankBy{{
+    {optim::RankBy::loss, "loss", "the fit's own loss"},
+    {optim::RankBy::aicc, "aicc", "Akaike's criterion, corrected for few samples"},
+    {optim::RankBy::bic, "bic", "the Bayesian criterion"},
+    {optim::RankBy::held_out, "held_out", "the loss at incidence angles that were left out"},
+    {optim::RankBy::log10_rmse, "log10_rmse", "the error in decades"},
+}};
+inline constexpr std::array<Named<optim::NoiseSource>, 4> kNoiseSources{{
+    {optim::NoiseSource::none, "none", "too few samples, or all are 0"},
+    {optim::NoiseSource::residuals, "residuals", "of each fit: differences of neighbouring samples cannot tell"},
+    {optim::NoiseSource::given, "given", "sigma in the data"},
+    {optim::NoiseSource::estimated, "estimated", "from differences of neighbouring samples"},
 }};
 inline constexpr const auto& kLosses = optim::kLossNames;
 

@@ -74,11 +74,6 @@ void read_require(const json& value, const Place& place, FitOptions& out) {
     }
 }
 
-void read_judge(const json& value, const Place& place, FitOptions& out) {
-    if (!value.is_boolean()) place.fail("wrong_type", "must be true or false");
-    else out.judge = value.get<bool>();
-}
-
 const std::vector<Field<FitOptions>> kOptionFields{
     {kLossKey, false, "what is minimised",
      [](const json& v, const Place& p, FitOptions& out) {
@@ -109,7 +104,14 @@ const std::vector<Field<FitOptions>> kOptionFields{
     {"seed", false, "of the starts; the same seed gives the same result", read_seed},
     {"time_limit_s", false, "of the whole request, in seconds", read_time_limit},
     {kRequireKey, false, "what a fit must keep to", read_require},
-    {"judge", false, "also held-out errors, albedo and physics", read_judge},
+    {"judge", false, "also held-out errors, albedo and physics",
+     [](const json& v, const Place& p, FitOptions& out) {
+         if (const auto judge = read_flag(v, p)) out.judge = *judge;
+     }},
+    {"rank_by", false, "what fits are sorted by",
+     [](const json& v, const Place& p, FitOptions& out) {
+         if (const auto rank_by = read_choice(v, p, kRankBy)) out.rank_by = *rank_by;
+     }},
 };
 
 // ---- scene ----
@@ -426,8 +428,10 @@ void check_loss(const FitRequest& request, const Place& options) {
         options.at(kThresholdKey).fail("contradiction", "belongs to robust losses alone: give robust as well");
 }
 
-/// What the fields cannot say one by one: enough samples, bounds within domains, sigma for chi2.
+/// What the fields cannot say one by one: enough samples, bounds within domains, sigma for chi2, ranks that are judged.
 void check_together(const FitRequest& request, bool models_given, const Place& place) {
+    if (request.options.rank_by == optim::RankBy::held_out && !request.options.judge)
+        place.at("options").at("rank_by").fail("contradiction", "held_out needs \"judge\": true");
     check_loss(request, place.at("options"));
     for (std::size_t c = 0; c < request.dataset.channels.size(); ++c) {
         const Channel& whole = request.dataset.channels[c];
@@ -520,6 +524,7 @@ json query_value(const std::string& text) {
     double number = 0;
     const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
     if (error == std::errc{} && end == text.data() + text.size() && std::isfinite(number)) return number;
+    if (text == "true" || text == "false") return text == "true";
     return text;
 }
 

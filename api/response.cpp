@@ -34,8 +34,12 @@ Json device_json(const kernels::DeviceInfo& device) {
 }
 
 Json parameter_json(const optim::FittedParameter& p) {
-    Json json{
-        {"value", number(p.value)}, {"std_error", number(p.std_error)}, {"unit", p.unit}, {"at_bound", p.at_bound}};
+    Json json{{"value", number(p.value)},
+              {"std_error", number(p.std_error)},
+              {"interval_95", nullptr},
+              {"unit", p.unit},
+              {"at_bound", p.at_bound}};
+    if (p.interval_95) json["interval_95"] = {number((*p.interval_95)[0]), number((*p.interval_95)[1])};
     if (p.fixed) json["fixed"] = true;
     return json;
 }
@@ -95,6 +99,49 @@ Json cost_json(const kernels::Cost& cost) {
     return json;
 }
 
+Json errors_json(const std::vector<optim::ScanError>& scans) {
+    Json json = Json::array();
+    for (const optim::ScanError& scan : scans)
+        json.push_back(
+            {{"theta_i_deg", scan.theta_i_deg}, {"rmse", number(scan.rmse)}, {"log10_rmse", number(scan.log10_rmse)}});
+    return json;
+}
+
+Json held_out_json(const optim::HeldOut& held_out) {
+    return {{"rmse", number(held_out.rmse)},
+            {"log10_rmse", number(held_out.log10_rmse)},
+            {"loss", number(held_out.loss)},
+            {"angles", errors_json(held_out.angles)}};
+}
+
+Json correlations_json(const optim::Correlations& correlations) {
+    const std::size_t n = correlations.names.size();
+    Json matrix = Json::array();
+    for (std::size_t i = 0; i < n; ++i) {
+        Json row = Json::array();
+        for (std::size_t j = 0; j < n; ++j) row.push_back(number(correlations.matrix[i * n + j]));
+        matrix.push_back(std::move(row));
+    }
+    return {{"names", correlations.names}, {"matrix", matrix}};
+}
+
+Json rivals_json(const std::vector<optim::Rival>& rivals) {
+    Json json = Json::array();
+    for (const optim::Rival& rival : rivals) {
+        Json parameters = Json::object();
+        for (const auto& [name, value] : rival.parameters) parameters[name] = number(value);
+        json.push_back({{"loss", number(rival.loss)}, {"agreed", rival.agreed}, {"parameters", parameters}});
+    }
+    return json;
+}
+
+Json noise_json(const optim::NoiseRecord& noise) {
+    Json json{{"relative", number(noise.relative)}, {"floor", number(noise.floor)}};
+    if (noise.relative_error) json["uncertainty"] = number(*noise.relative_error);
+    json["source"] = name_of(kNoiseSources, noise.source);
+    return json;
+}
+
 Json fit_json(const optim::Fit& fit, const std::string& plot_link) {
     Json json{{"rank", fit.rank}, {"model", fit.model}};
     if (fit.lobes > 0) json["lobes"] = fit.lobes;
@@ -108,10 +155,8 @@ Json fit_json(const optim::Fit& fit, const std::string& plot_link) {
     json["log10_rmse"] = number(fit.log10_rmse);
     json["aicc"] = number(fit.aicc);
     json["bic"] = number(fit.bic);
-    json["scans"] = Json::array();
-    for (const optim::ScanError& scan : fit.scans)
-        json["scans"].push_back(
-            {{"theta_i_deg", scan.theta_i_deg}, {"rmse", number(scan.rmse)}, {"log10_rmse", number(scan.log10_rmse)}});
+    json["held_out"] = fit.held_out ? held_out_json(*fit.held_out) : Json(nullptr);
+    json["scans"] = errors_json(fit.scans);
     if (fit.outliers) json["outliers"] = outliers_json(*fit.outliers);
     if (fit.physics) {
         json["albedo"] = albedo_json(fit.albedo);
@@ -119,11 +164,12 @@ Json fit_json(const optim::Fit& fit, const std::string& plot_link) {
     }
     if (fit.constrained) json["constrained"] = constrained_json(*fit.constrained, fit.loss);
     if (fit.cost) json["cost"] = cost_json(*fit.cost);
-    json["search"] = {{"starts", fit.search.starts},
-                      {"agreed", fit.search.agreed},
-                      {"evaluations", fit.search.evaluations},
-                      {"stop_reason", name_of(kStopReasons, fit.search.stop_reason)},
-                      {"time_s", number(fit.search.time_s)}};
+    json["correlations"] = correlations_json(fit.correlations);
+    if (fit.replicates > 0) json["bootstrap"] = {{"replicates", fit.replicates}};
+    json["search"] = {
+        {"starts", fit.search.starts},           {"agreed", fit.search.agreed},
+        {"evaluations", fit.search.evaluations}, {"stop_reason", name_of(kStopReasons, fit.search.stop_reason)},
+        {"time_s", number(fit.search.time_s)},   {"rivals", rivals_json(fit.search.rivals)}};
     if (!fit.warnings.empty()) json["warnings"] = fit.warnings;
     json["links"] = {{"plot", plot_link}};
     return json;
@@ -170,6 +216,7 @@ Json channel_json(const optim::ChannelReport& channel, const optim::Criterion& l
     if (channel.channel.wavelength_nm) json["wavelength_nm"] = *channel.channel.wavelength_nm;
     json["samples"] = channel.channel.samples.size();
     json["loss"] = loss_json(loss, channel.robust_scale);
+    json["noise"] = noise_json(channel.noise);
     const std::string which = one_of_many ? "&channel=" + url_encoded(channel.channel.name) : "";
     json["fits"] = Json::array();
     for (const optim::Fit& fit : channel.fits)

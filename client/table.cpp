@@ -11,11 +11,17 @@ std::string parameters(const optim::Fit& fit) {
     std::string text;
     for (const optim::FittedParameter& p : fit.parameters) {
         text += fmt::format("{}{} {:.4g}", text.empty() ? "" : ", ", p.name, p.value);
-        if (p.std_error) text += fmt::format(" ± {:.1g}", *p.std_error);
+        if (p.interval_95) text += fmt::format(" [{:.4g}, {:.4g}]", (*p.interval_95)[0], (*p.interval_95)[1]);
         if (p.unit != "1") text += " " + p.unit;
         if (p.at_bound) text += " (bound)";
     }
     return text;
+}
+
+std::string noise(const optim::NoiseRecord& noise) {
+    if (noise.source != optim::NoiseSource::estimated) return std::string(name_of(api::kNoiseSources, noise.source));
+    return fmt::format("{:.2g} % of the value, {:.2g} at least (both to {:.0f} %), {}", 100 * *noise.relative,
+                       *noise.floor, 100 * *noise.relative_error, name_of(api::kNoiseSources, noise.source));
 }
 
 /// Errors of a model without points are not known.
@@ -85,13 +91,15 @@ std::string table(const optim::Report& report) {
     for (const optim::ChannelReport& channel : report.channels) {
         text += fmt::format("{}, channel {}, {} samples\n", report.dataset, channel.channel.name,
                             channel.channel.samples.size());
-        text += fmt::format("  {:>4}  {:<14} {:>11} {:>8} {:>8}  {}\n", "rank", "model", "loss", "decades", "ms",
-                            "parameters");
+        text += "  noise: " + noise(channel.noise) + "\n";
+        text += fmt::format("  {:>4}  {:<14} {:>11} {:>11} {:>8} {:>10} {:>8}  {}\n", "rank", "model", "loss",
+                            "held out", "decades", "bic", "ms", "parameters [95 % interval]");
         for (const optim::Fit& fit : channel.fits) {
             const std::string decades = fit.log10_rmse ? fmt::format("{:.3f}", *fit.log10_rmse) : "-";
-            text += fmt::format("  {:>4}  {:<14} {:>11.5g} {:>8} {:>8.1f}  {}\n", fit.rank,
-                                kernels::variant_name(fit.model, fit.lobes, fit.submodel), fit.loss, decades,
-                                1e3 * fit.search.time_s, parameters(fit));
+            const std::string held_out = fit.held_out ? fmt::format("{:.5g}", fit.held_out->loss) : "-";
+            text += fmt::format("  {:>4}  {:<14} {:>11.5g} {:>11} {:>8} {:>10.1f} {:>8.1f}  {}\n", fit.rank,
+                                kernels::variant_name(fit.model, fit.lobes, fit.submodel), fit.loss, held_out, decades,
+                                fit.bic, 1e3 * fit.search.time_s, parameters(fit));
             for (const std::string& warning : fit.warnings) text += fmt::format("{:>22}{}\n", "", warning);
         }
         for (const optim::Failure& failure : channel.failures)

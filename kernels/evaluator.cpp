@@ -99,6 +99,17 @@ struct Evaluator::Impl : Transfers {
         }
 
         columns_buffer = directions.impl().columns(shared, precision, padded);
+        for (cl::Kernel* kernel : {&project, &project_value, &loss}) {
+            kernel->setArg(0, columns_buffer);
+            kernel->setArg(3, static_cast<cl_int>(padded));
+        }
+        if (sliced) sum.setArg(3, static_cast<cl_int>(padded));
+        assign(y, w);
+        terms.setArg(0, columns_buffer);
+        terms.setArg(1, static_cast<cl_int>(padded));
+    }
+
+    void assign(std::span<const double> y, std::span<const double> w) {
         const auto pad = [&](std::span<const double> values) {
             std::vector<double> result(values.begin(), values.end());
             result.resize(padded, 0.0);
@@ -107,18 +118,12 @@ struct Evaluator::Impl : Transfers {
         y_buffer = constant_buffer(shared.context, precision, pad(y));
         w_buffer = constant_buffer(shared.context, precision, pad(w));
         for (cl::Kernel* kernel : {&project, &project_value, &loss}) {
-            kernel->setArg(0, columns_buffer);
             kernel->setArg(1, y_buffer);
             kernel->setArg(2, w_buffer);
-            kernel->setArg(3, static_cast<cl_int>(padded));
         }
-        if (sliced) {
-            sum.setArg(1, y_buffer);
-            sum.setArg(2, w_buffer);
-            sum.setArg(3, static_cast<cl_int>(padded));
-        }
-        terms.setArg(0, columns_buffer);
-        terms.setArg(1, static_cast<cl_int>(padded));
+        if (!sliced) return;
+        sum.setArg(1, y_buffer);
+        sum.setArg(2, w_buffer);
     }
 
     [[nodiscard]] std::size_t in_stride() const { return model.parameters.size() + 2 * model.terms.size(); }
@@ -336,13 +341,17 @@ std::vector<double> Evaluator::terms(std::span<const double> parameters) try {
     throw device_error(error);
 }
 
-Values evaluate(Engine& engine, const Model& model, Precision precision, const std::vector<double>& parameters,
-                const DirectionSet& directions, bool gradient) {
+void Evaluator::assign(std::span<const double> y, std::span<const double> w) try {
+    impl_->assign(y, w);
+} catch (const cl::Error& error) {
+    throw device_error(error);
+}
+
+Values Evaluator::values(const std::vector<double>& parameters, bool gradient) {
+    const Model& model = impl_->model;
+    const std::size_t n = impl_->count;
     Values values;
-    const std::size_t n = directions.directions().size();
-    if (n == 0) return values;
-    Evaluator evaluator(engine, model, precision, directions, {}, {});
-    const std::vector<double> rows = evaluator.terms(parameters);
+    const std::vector<double> rows = terms(parameters);
     const std::vector<double> c = model.coefficients(parameters);
     values.f.assign(n, 0.0);
     if (gradient) values.by_parameter.assign(model.parameters.size() * n, 0.0);
@@ -362,6 +371,12 @@ Values evaluate(Engine& engine, const Model& model, Precision precision, const s
         }
     }
     return values;
+}
+
+Values evaluate(Engine& engine, const Model& model, Precision precision, const std::vector<double>& parameters,
+                const DirectionSet& directions, bool gradient) {
+    if (directions.directions().empty()) return {};
+    return Evaluator(engine, model, precision, directions, {}, {}).values(parameters, gradient);
 }
 
 }  // namespace brdfit::kernels

@@ -40,6 +40,12 @@ struct Batch {
     std::vector<double> normal;
 };
 
+/// f of one candidate at each direction, and on request df/dp, P x directions.
+struct Values {
+    std::vector<double> f;
+    std::vector<double> by_parameter;
+};
+
 /// Owns its queue, kernels and device buffers. Not for two threads at once; use one each. Where the calling thread has
 /// a Waiter (kernels/waiting.h), a launch is left to it to wait for; else it blocks.
 class Evaluator {
@@ -61,6 +67,10 @@ public:
     /// Every term and its slopes at every sample: B x V x samples, V = Model::term_values(), in the order of Terms.
     /// Throws DeviceError.
     [[nodiscard]] std::vector<double> terms(std::span<const double> parameters);
+    /// f = sum_t c_t phi_t [1/sr] of one candidate at each sample, and on request df/dp. Throws DeviceError.
+    [[nodiscard]] Values values(const std::vector<double>& parameters, bool gradient);
+    /// Other data for what follows, as many as before. Throws DeviceError.
+    void assign(std::span<const double> y, std::span<const double> w);
 
     [[nodiscard]] const Model& model() const;
     [[nodiscard]] std::size_t samples() const;
@@ -70,11 +80,7 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// f = sum_t c_t phi_t [1/sr] of one candidate at each direction, and on request df/dp, P x directions.
-struct Values {
-    std::vector<double> f;
-    std::vector<double> by_parameter;
-};
+/// Evaluator::values without data.
 Values evaluate(Engine& engine, const Model& model, Precision precision, const std::vector<double>& parameters,
                 const DirectionSet& directions, bool gradient);
 

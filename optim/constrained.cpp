@@ -260,7 +260,7 @@ Optimum energy_conserving_optimum(const Task& task, const std::vector<Interval>&
             lowered(task.model, found.parameters, (1 - kMargin) / largest.albedo.value), found.scale));
     for (auto& u : screened(problem, task, angles)) starts.push_back(std::move(u));
 
-    Optimum optimum{&task.model, {}, 1, std::numeric_limits<double>::infinity(), found.record};
+    Optimum optimum{{}, &task.model, std::numeric_limits<double>::infinity(), found.record, {}, {}};
     optimum.record.starts = starts.size();
     for (int round = 0; round < kMostRounds; ++round) {
         std::vector<double> values;

@@ -1,6 +1,7 @@
 #include "optim/fit.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <future>
 #include <iterator>
@@ -18,10 +19,14 @@
 #include "kernels/hemisphere.h"
 #include "optim/broker.h"
 #include "optim/constrained.h"
+#include "optim/crossvalidation.h"
+#include "optim/noise.h"
 #include "optim/optimum.h"
 #include "optim/physics.h"
+#include "optim/refit.h"
 #include "optim/robust.h"
 #include "optim/statistics.h"
+#include "optim/uncertainty.h"
 
 namespace brdfit::optim {
 namespace {
@@ -146,6 +151,7 @@ struct Work {
     kernels::Engine& engine;
     const Channel& channel;
     const Directions& directions;
+    const Noise& noise;
     Unit unit;
     const ModelRequest& request;
     const FitOptions& options;
@@ -172,7 +178,7 @@ std::vector<double> incidence_angles(const Channel& channel) {
     return {angles.begin(), angles.end()};
 }
 
-/// The physics of the reported parameters.
+/// The physics of an optimum.
 void add_physics(const Work& work, bool scale_known, const Optimum& optimum, Fit& fit) {
     Judgement judgement =
         judge_physics(work.engine, *optimum.model, optimum.parameters, incidence_angles(work.channel), scale_known);
@@ -206,105 +212,16 @@ std::string bound_remark(const kernels::Parameter& parameter, Interval bounds, d
     return fmt::format("{} stands at its {} {:g}", parameter.name, whose, bound / unit);
 }
 
-/// The size of a column of the weighted Jacobian.
-double effect(const Weighted& weighted, const Residuals& residuals, const std::vector<double>& by_parameter) {
-    double sum = 0;
-    for (std::size_t j = 0; j < by_parameter.size(); ++j) {
-        const double x = residuals.by_f[j] * by_parameter[j];
-        sum += weighted.weight[j] * x * x;
-    }
-    return std::sqrt(sum);
-}
-
-/// Terms that the samples do not see.
-void add_unseen_terms(const Work& work, kernels::Precision precision, const Optimum& optimum, Fit& fit) {
-    const Model& model = *optimum.model;
-    kernels::Evaluator evaluator(work.engine, model, precision, work.directions.samples, {}, {});
-    const std::vector<double> rows = evaluator.terms(optimum.parameters);
-    const std::vector<double> c = model.coefficients(optimum.parameters);
-    const auto largest = [](auto begin, auto end) {
-        double most = 0;
-        for (auto it = begin; it != end; ++it) most = std::max(most, std::abs(*it));
-        return most;
-    };
-    const double seen = kUnseen * largest(fit.values.begin(), fit.values.end()) / optimum.scale;
-    auto row = rows.begin();
-    for (std::size_t t = 0; t < model.terms.size(); ++t) {
-        const auto n = static_cast<std::ptrdiff_t>(evaluator.samples());
-        if (!model.terms[t].of.empty() && std::abs(c[t]) * largest(row, row + n) <= seen)
-            fit.warnings.push_back(model.terms[t].name + " is zero at every sample");
-        row += n * static_cast<std::ptrdiff_t>(1 + model.terms[t].of.size());
-    }
-}
-
-/// Parameter values with their errors, in the wire's unit.
-void add_parameters(const Work& work, kernels::Precision precision, const Weighted& weighted, const Optimum& optimum,
-                    const std::vector<Interval>& bounds, const kernels::Values& values, Fit& fit) {
-    const Model& model = *optimum.model;
-    const std::size_t n = values.f.size();
-
-    const PseudoValues seen = pseudo_values(weighted, residuals(weighted, fit.values));
-    std::vector<std::size_t> free;
-    std::vector<std::vector<double>> jacobian;
-    const auto undetermined = [&](const std::string& name) {
-        fit.warnings.push_back("the data do not determine " + name);
-    };
-    for (std::size_t i = 0; i < model.parameters.size(); ++i) {
-        const kernels::Parameter& declared = model.parameters[i];
-        const double unit = to_model_unit(declared, work.channel);
-        const double value = optimum.parameters[i];
-        FittedParameter parameter;
-        parameter.name = declared.name;
-        parameter.unit = wire_unit(declared, work.channel);
-        parameter.value = value / unit + 0.0;  // no -0
-        parameter.fixed = bounds[i].fixed();
-        parameter.at_bound = !parameter.fixed && is_at_bound(declared, model.is_linear(i), bounds[i], value);
-        fit.parameters.push_back(std::move(parameter));
-        if (fit.parameters.back().fixed) continue;
-        if (fit.parameters.back().at_bound) {
-            fit.warnings.push_back(
-                bound_remark(declared, bounds[i], value, work.request.bounds.count(declared.name) > 0, unit));
-            continue;
-        }
-        std::vector<double> row;
-        for (std::size_t j = 0; j < n; ++j) row.push_back(optimum.scale * values.by_parameter[i * n + j]);
-        // What the samples do not feel over the parameter's whole interval is rounding, not a slope.
-        const double reach = declared.scale == kernels::Scale::logarithmic
-                                 ? std::abs(value)
-                                 : std::max(declared.max - declared.min, std::abs(value));
-        if (!(effect(seen.weighted, seen.residuals, row) * reach > kUnseen * std::max(weighted.norm, fit.loss))) {
-            undetermined(declared.name);
-            continue;
-        }
-        free.push_back(i);
-        jacobian.push_back(std::move(row));
-    }
-    if (work.unit == Unit::relative && knows_scale(model)) jacobian.push_back(values.f);
-    const auto errors = standard_errors(seen.weighted, seen.residuals, jacobian);
-    const bool too_few = weighted.used <= jacobian.size();
-    std::string without;
-    for (std::size_t i = 0; i < free.size(); ++i) {
-        FittedParameter& parameter = fit.parameters[free[i]];
-        if (errors[i]) parameter.std_error = *errors[i] / to_model_unit(model.parameters[free[i]], work.channel);
-        else if (too_few) without += (without.empty() ? "" : ", ") + parameter.name;
-        else undetermined(parameter.name);
-    }
-    if (!without.empty())
-        fit.warnings.push_back("no standard error of " + without + ": no more samples than parameters");
-    if (!fit.warnings.empty()) add_unseen_terms(work, precision, optimum, fit);  // some parameter knows it too
-}
-
 /// Lobes in falling order of their exponent, unless the request speaks of single lobes.
-void order_lobes(const Work& work, Optimum& optimum) {
-    const Model& model = *optimum.model;
+void order_lobes(const Work& work, const Model& model, Point& point) {
     if (model.repeats < 2 || !work.request.bounds.empty() || !work.request.fixed.empty()) return;
     std::vector<std::vector<double>> lobes;
-    auto at = optimum.parameters.begin() + static_cast<std::ptrdiff_t>(model.group_begin);
+    auto at = point.parameters.begin() + static_cast<std::ptrdiff_t>(model.group_begin);
     for (std::size_t j = 0; j < model.repeats; ++j, at += static_cast<std::ptrdiff_t>(model.group_size))
         lobes.emplace_back(at, at + static_cast<std::ptrdiff_t>(model.group_size));
     std::stable_sort(lobes.begin(), lobes.end(),
                      [&](const auto& a, const auto& b) { return a[model.order_by] > b[model.order_by]; });
-    at = optimum.parameters.begin() + static_cast<std::ptrdiff_t>(model.group_begin);
+    at = point.parameters.begin() + static_cast<std::ptrdiff_t>(model.group_begin);
     for (const auto& lobe : lobes) at = std::copy(lobe.begin(), lobe.end(), at);
 }
 
@@ -354,95 +271,30 @@ void add_outliers(const Weighted& weighted, Fit& fit) {
     fit.outliers = std::move(found);
 }
 
-/// Everything the report says of an optimum. robust_scale: the channel's, of a robust loss.
-Fit describe(const Work& work, const Prepared& prepared, Optimum optimum, double robust_scale) {
-    order_lobes(work, optimum);
-    optimum.scale *= prepared.unit;
-    const kernels::Precision precision = work.engine.best_precision();
-    const Weighted weighted = weigh(work.channel, work.options.loss, robust_scale);
-    Fit fit;
-    fit.model = work.request.family->name;
-    fit.lobes = optimum.model->repeats;
-    if (work.request.submodel != nullptr) fit.submodel = work.request.submodel->name;
-    if (work.unit == Unit::relative) fit.scale = optimum.scale;
-    const kernels::Values values =
-        kernels::evaluate(work.engine, *optimum.model, precision, optimum.parameters, work.directions.samples, true);
-    for (const double value : values.f) fit.values.push_back(value * optimum.scale);
-    fit.loss = std::sqrt(residuals(weighted, fit.values).loss2);
-    if (!std::isfinite(fit.loss)) throw SearchError("the model gave a value that is not finite");
-    fit.relative_loss = weighted.norm > 0 ? fit.loss / weighted.norm : 0.0;
-    std::size_t free = free_parameters(prepared.bounds);
-    if (work.unit == Unit::relative && knows_scale(*optimum.model)) ++free;
-    describe_errors(work.channel, weighted, free, fit);
-    add_parameters(work, precision, weighted, optimum, prepared.bounds, values, fit);
-    if (weighted.robust != Robust::none) add_outliers(weighted, fit);
-    add_curves(work, precision, optimum, fit);
-    if (work.options.judge || !work.options.require.empty()) add_physics(work, !prepared.by_convention, optimum, fit);
-    fit.search = optimum.record;
-    const double found =
-        weighted.logarithmic ? std::sqrt(optimum.relative_loss2) : std::sqrt(optimum.relative_loss2) * weighted.norm;
-    if (fit.search.stop_reason == StopReason::converged &&
-        fit.loss > found * (1 + kReproduced) + kUnseen * (weighted.norm > 0 ? weighted.norm : 1.0))
-        fit.search.stop_reason = StopReason::roundoff;
-    if (prepared.scale.min < prepared.scale.max)
-        if (const double s = optimum.scale / prepared.unit;
-            s <= prepared.scale.min * 1.0001 || s >= prepared.scale.max / 1.0001)
-            fit.warnings.push_back("scale stands at the end of its range, 1e6 times from a white diffuser's");
-    if (prepared.by_convention)
-        fit.warnings.push_back(
-            "relative data do not determine this model's scale: by convention it is that of a white "
-            "diffuser with the data's rms");
-    return fit;
-}
-
-/// The fit that keeps to what the request requires: this one, or one searched under the constraint. Throws SearchError
-/// where there is none.
-Fit required(const Work& work, const Prepared& prepared, const Task& task, const Optimum& optimum, double robust_scale,
-             Fit fit) {
-    const auto asked = [&](Requirement requirement) {
-        const auto& all = work.options.require;
-        return std::find(all.begin(), all.end(), requirement) != all.end();
-    };
-    const double loss_without = fit.loss;
-    const bool conserves = fit.physics->energy_conserving.value_or(false);
-    if (asked(Requirement::energy_conserving) && !conserves) {
-        if (prepared.by_convention)
-            throw SearchError("relative data do not determine this model's scale, nor whether it conserves energy");
-        fit = describe(work, prepared,
-                       energy_conserving_optimum(task, prepared.bounds, optimum, incidence_angles(work.channel)),
-                       robust_scale);
-        if (!fit.physics->energy_conserving.value_or(false))
-            throw SearchError("no parameters were found that conserve energy");
-        fit.warnings.push_back("standard errors take no account of the requirement");
-    }
-    if (asked(Requirement::reciprocal) && !fit.physics->reciprocal)
-        throw SearchError("the model is not reciprocal, which the request requires");
-    if (asked(Requirement::nonnegative) && !fit.physics->nonnegative)
-        throw SearchError("the model falls below 0, which the request forbids");
-    fit.constrained = Constrained{work.options.require, loss_without};
-    return fit;
-}
-
-/// Why a search is over.
-StopReason stop_of(const SearchControl& control) {
-    return control.stop.stop_requested() ? StopReason::cancelled : StopReason::time_limit;
-}
-
-/// A variant of a model as its search sees it.
+/// One variant of the model: what its search sees and what it has found. Its parts refer to each other.
 struct Variant {
-    const Model& model;
-    Prepared prepared;
-    Weighted weighted;  ///< the squares
-    std::size_t free;
-
-    Variant(const Work& work, std::size_t lobes)
-        : model(work.request.variant(lobes)),
-          prepared(prepare(work, model)),
+    /// Throws SearchError where the loss cannot weigh these data.
+    Variant(const Work& work, const Model& model)
+        : prepared(prepare(work, model)),
           weighted(weigh(prepared.channel, work.options.loss)),
-          free(free_parameters(prepared.bounds)) {
+          free(free_parameters(prepared.bounds)),
+          scale_free(work.unit == Unit::relative && knows_scale(model)),
+          task{work.engine,
+               model,
+               prepared.channel,
+               work.directions.samples,
+               weighted,
+               work.options.precision,
+               work.options.effort,
+               work.control,
+               prepared.scale} {
         if (!std::isfinite(weighted.norm))
             throw SearchError("the weights of this loss overflow: a value or a sigma is too small beside the others");
+        for (const double size : work.noise.sigma) sigma.push_back(size / prepared.unit);
     }
+    Variant(const Variant&) = delete;
+    Variant& operator=(const Variant&) = delete;
+    ~Variant() = default;
 
     [[nodiscard]] bool possible() const { return weighted.used >= free; }
     void require_possible() const {
@@ -450,18 +302,259 @@ struct Variant {
             throw SearchError("too few samples: " + std::to_string(weighted.used) + " usable ones for " +
                               std::to_string(free) + " free parameters");
     }
-    [[nodiscard]] Task task(const Work& work) const {
-        return {work.engine,
-                model,
-                prepared.channel,
-                work.directions.samples,
-                weighted,
-                work.options.precision,
-                work.options.effort,
-                work.control,
-                prepared.scale};
-    }
+
+    Prepared prepared;
+    Weighted weighted;          ///< under the loss; once a robust fit is found, its last squares
+    std::size_t free;           ///< parameters
+    bool scale_free;            ///< the scale is one more
+    std::vector<double> sigma;  ///< of the noise; none in a robust fit, whose weights are no noise's
+    Task task;
+    Optimum optimum;
+    std::optional<Refitter> refitter;
+    Point likeliest;  ///< by the noise, not by the loss
+    Fit fit;
 };
+
+/// AICc and BIC: of the model's likeliest parameters under the noise, which descents from the optimum find; without
+/// sizes of the noise, of the loss.
+void add_evidence(const Work& work, const Weighted& weighted, const Variant* smaller, Variant& variant) {
+    constexpr double kEnough = 1e-7;  // of chi^2
+    constexpr std::size_t kOthers = 2;
+    Fit& fit = variant.fit;
+    const std::size_t free = variant.free + (variant.scale_free ? 1 : 0);
+    variant.likeliest = variant.optimum;
+    if (weighted.robust != Robust::none) {
+        // The scale of a robust loss is common to all models: -2 ln L = 2 sum rho (Ronchetti 1985).
+        const double size = fit.loss / weighted.scale;
+        describe_evidence(size * size, weighted.used, free, fit);
+        return;
+    }
+    if (variant.sigma.empty()) {
+        describe_evidence(deviance(weighted, fit.loss), weighted.used, free, fit);
+        return;
+    }
+    std::vector<Point> starts{variant.optimum};
+    for (std::size_t i = 0; i < std::min(kOthers, variant.optimum.others.size()); ++i)
+        starts.push_back(variant.optimum.others[i]);
+    if (smaller != nullptr && !smaller->likeliest.parameters.empty())
+        starts.push_back(extended(variant.task.model, smaller->task.model, smaller->likeliest));
+    std::optional<Refitter> own;
+    if (variant.refitter->logarithmic())
+        own.emplace(variant.task, variant.prepared.bounds, Refitter::Residual::difference);
+    Refitter& refitter = own ? *own : *variant.refitter;
+    variant.likeliest = refitter.descend(weigh_by(variant.prepared.channel, variant.sigma), starts, kEnough).front();
+    std::vector<double> f = refitter.values(variant.likeliest, false).f;
+    for (double& value : f) value *= variant.prepared.unit;
+    describe_evidence(deviance(work.channel, work.noise.sigma, f), work.channel.samples.size(), free, fit);
+}
+
+/// The squares that touch a robust loss where it was fitted: what follows takes these weights as given.
+void take_last_squares(const Work& work, const Weighted& robust, Variant& variant) {
+    variant.weighted =
+        reweighted(weigh(variant.prepared.channel, work.options.loss), robust, residuals(robust, variant.fit.values).r);
+    variant.sigma.clear();
+    variant.optimum.others.clear();  // of another loss
+}
+
+/// What the choice of a variant rests on: losses, errors, evidence. robust_scale: the channel's, of a robust loss.
+void describe(const Work& work, const Variant* smaller, double robust_scale, Variant& variant) {
+    const Optimum& optimum = variant.optimum;
+    const Prepared& prepared = variant.prepared;
+    const Weighted weighted = weigh(work.channel, work.options.loss, robust_scale);
+    Fit& fit = variant.fit = {};
+    fit.model = work.request.family->name;
+    fit.lobes = variant.task.model.repeats;
+    if (work.request.submodel != nullptr) fit.submodel = work.request.submodel->name;
+    if (work.unit == Unit::relative) fit.scale = optimum.scale * prepared.unit;
+    variant.refitter.emplace(variant.task, prepared.bounds);
+    for (const double value : variant.refitter->values(optimum, false).f) fit.values.push_back(value * prepared.unit);
+    fit.loss = std::sqrt(residuals(weighted, fit.values).loss2);
+    if (!std::isfinite(fit.loss)) throw SearchError("the model gave a value that is not finite");
+    fit.relative_loss = weighted.norm > 0 ? fit.loss / weighted.norm : 0.0;
+    describe_errors(work.channel, fit);
+    if (weighted.robust != Robust::none) {
+        add_outliers(weighted, fit);
+        take_last_squares(work, weighted, variant);
+    }
+    fit.search = optimum.record;
+    const double found =
+        weighted.logarithmic ? std::sqrt(optimum.relative_loss2) : std::sqrt(optimum.relative_loss2) * weighted.norm;
+    if (fit.search.stop_reason == StopReason::converged &&
+        fit.loss > found * (1 + kReproduced) + kUnseen * (weighted.norm > 0 ? weighted.norm : 1.0))
+        fit.search.stop_reason = StopReason::roundoff;
+    add_evidence(work, weighted, smaller, variant);
+}
+
+/// Terms that the samples do not see.
+void add_unseen_terms(Variant& variant) {
+    const Model& model = variant.task.model;
+    kernels::Evaluator& evaluator = variant.refitter->evaluator();
+    const std::vector<double> rows = evaluator.terms(variant.optimum.parameters);
+    const std::vector<double> c = model.coefficients(variant.optimum.parameters);
+    const auto largest = [](auto begin, auto end) {
+        double most = 0;
+        for (auto it = begin; it != end; ++it) most = std::max(most, std::abs(*it));
+        return most;
+    };
+    Fit& fit = variant.fit;
+    const double seen =
+        kUnseen * largest(fit.values.begin(), fit.values.end()) / (variant.optimum.scale * variant.prepared.unit);
+    auto row = rows.begin();
+    for (std::size_t t = 0; t < model.terms.size(); ++t) {
+        const auto n = static_cast<std::ptrdiff_t>(evaluator.samples());
+        if (!model.terms[t].of.empty() && std::abs(c[t]) * largest(row, row + n) <= seen)
+            fit.warnings.push_back(model.terms[t].name + " is zero at every sample");
+        row += n * static_cast<std::ptrdiff_t>(1 + model.terms[t].of.size());
+    }
+}
+
+/// Parameter values with what noise leaves open of them, in the wire's unit.
+void add_parameters(const Work& work, Variant& variant) {
+    constexpr std::size_t kReplicates = 400;
+    const Model& model = variant.task.model;
+    const std::vector<Interval>& bounds = variant.prepared.bounds;
+    Fit& fit = variant.fit;
+    std::vector<bool> at_bound;
+    std::vector<double> units;
+    for (std::size_t i = 0; i < model.parameters.size(); ++i) {
+        const kernels::Parameter& declared = model.parameters[i];
+        const double value = variant.optimum.parameters[i];
+        units.push_back(to_model_unit(declared, work.channel));
+        FittedParameter parameter;
+        parameter.name = declared.name;
+        parameter.unit = wire_unit(declared, work.channel);
+        parameter.value = value / units[i] + 0.0;  // no -0
+        parameter.fixed = bounds[i].fixed();
+        parameter.at_bound = !parameter.fixed && is_at_bound(declared, model.is_linear(i), bounds[i], value);
+        at_bound.push_back(parameter.at_bound);
+        if (parameter.at_bound)
+            fit.warnings.push_back(
+                bound_remark(declared, bounds[i], value, work.request.bounds.count(declared.name) > 0, units[i]));
+        fit.parameters.push_back(std::move(parameter));
+    }
+    const Estimate estimate{variant.task,       work.options.loss, bounds, variant.optimum, at_bound, variant.sigma,
+                            work.noise.degrees, variant.scale_free};
+    Uncertainty uncertainty = uncertainty_of(estimate, *variant.refitter, units);
+    std::vector<std::array<double, 2>> resampled;
+    if (work.options.judge && work.options.effort == Effort::thorough && !variant.sigma.empty())
+        resampled = bootstrap_intervals(estimate, *variant.refitter, kReplicates);
+    if (!resampled.empty()) fit.replicates = kReplicates;
+    std::string without;
+    for (std::size_t i = 0; i < model.parameters.size(); ++i) {
+        FittedParameter& parameter = fit.parameters[i];
+        const ParameterUncertainty& known = uncertainty.parameters[i];
+        if (parameter.fixed) continue;
+        if (known.undetermined) fit.warnings.push_back("the data do not determine " + parameter.name);
+        else if (uncertainty.too_few && !parameter.at_bound) without += (without.empty() ? "" : ", ") + parameter.name;
+        if (known.std_error) parameter.std_error = *known.std_error / units[i];
+        if (!known.interval_95) continue;
+        parameter.interval_95 = resampled.empty() ? known.interval_95 : resampled[i];
+        for (double& end : *parameter.interval_95) end = end / units[i] + 0.0;
+    }
+    if (!without.empty())
+        fit.warnings.push_back("no standard error of " + without + ": no more samples than parameters");
+    if (!fit.warnings.empty()) add_unseen_terms(variant);  // some parameter knows it too
+    fit.correlations = std::move(uncertainty.correlations);
+    for (std::string& remark : uncertainty.remarks) fit.warnings.push_back(std::move(remark));
+}
+
+/// Other minima that the search has met, each polished; returns them as starts, best first.
+std::vector<Point> add_rivals(const Work& work, Variant& variant) {
+    constexpr std::size_t kMost = 4;
+    constexpr double kEnough = 1e-7;  // of loss^2
+    constexpr double kAlike = 1e-3;   // of the loss
+    const Optimum& optimum = variant.optimum;
+    std::vector<Point> found;
+    if (optimum.others.empty()) return found;
+    const double norm = variant.weighted.logarithmic ? 1.0 : variant.weighted.norm;
+    const double best = std::sqrt(optimum.relative_loss2);
+    double last = best;
+    for (Refitter::End& end : variant.refitter->descend(variant.weighted, optimum.others, kEnough)) {
+        const double loss = std::sqrt(end.loss2) / norm;
+        if (end.stop != StopReason::converged || !(loss > last * (1 + kAlike) + kUnseen)) continue;
+        last = loss;
+        order_lobes(work, variant.task.model, end);
+        Rival& rival = variant.fit.search.rivals.emplace_back();
+        rival.loss = variant.weighted.logarithmic ? loss : loss * variant.fit.loss / best;
+        rival.agreed = static_cast<std::size_t>(std::count_if(optimum.ends.begin(), optimum.ends.end(), [&](double l2) {
+            return std::abs(std::sqrt(l2) - loss) <= kAlike * loss;
+        }));
+        for (std::size_t i = 0; i < end.parameters.size(); ++i) {
+            const kernels::Parameter& declared = variant.task.model.parameters[i];
+            rival.parameters.emplace_back(declared.name,
+                                          end.parameters[i] / to_model_unit(declared, work.channel) + 0.0);
+        }
+        found.push_back(end);
+        if (found.size() == kMost) break;
+    }
+    return found;
+}
+
+/// Makes the variant keep to what the request requires: as it is, or searched anew under the constraint. Throws
+/// SearchError where it cannot.
+void keep_to_requirements(const Work& work, const Variant* smaller, double robust_scale, const Weighted& loss,
+                          Variant& variant) {
+    const auto asked = [&](Requirement requirement) {
+        const auto& all = work.options.require;
+        return std::find(all.begin(), all.end(), requirement) != all.end();
+    };
+    const auto judge = [&] { add_physics(work, !variant.prepared.by_convention, variant.optimum, variant.fit); };
+    const double loss_without = variant.fit.loss;
+    judge();
+    if (asked(Requirement::energy_conserving) && !variant.fit.physics->energy_conserving.value_or(false)) {
+        if (variant.prepared.by_convention)
+            throw SearchError("relative data do not determine this model's scale, nor whether it conserves energy");
+        const Task& task = variant.task;
+        const Task under_loss{task.engine,    task.model,  task.channel, task.directions, loss,
+                              task.precision, task.effort, task.control, task.scale};
+        variant.optimum = energy_conserving_optimum(under_loss, variant.prepared.bounds, variant.optimum,
+                                                    incidence_angles(work.channel));
+        order_lobes(work, variant.task.model, variant.optimum);
+        describe(work, smaller, robust_scale, variant);
+        judge();
+        if (!variant.fit.physics->energy_conserving.value_or(false))
+            throw SearchError("no parameters were found that conserve energy");
+        variant.fit.warnings.push_back("standard errors take no account of the requirement");
+    }
+    if (asked(Requirement::reciprocal) && !variant.fit.physics->reciprocal)
+        throw SearchError("the model is not reciprocal, which the request requires");
+    if (asked(Requirement::nonnegative) && !variant.fit.physics->nonnegative)
+        throw SearchError("the model falls below 0, which the request forbids");
+    variant.fit.constrained = Constrained{work.options.require, loss_without, variant.fit.loss != loss_without};
+}
+
+/// Everything else the report says of the variant that was chosen.
+void explain(const Work& work, double robust_scale, Variant& variant) {
+    const Prepared& prepared = variant.prepared;
+    Fit& fit = variant.fit;
+    add_parameters(work, variant);
+    Optimum reported = variant.optimum;
+    reported.scale *= prepared.unit;
+    add_curves(work, work.engine.best_precision(), reported, fit);
+    if (prepared.scale.min < prepared.scale.max)
+        if (const double s = variant.optimum.scale;
+            s <= prepared.scale.min * 1.0001 || s >= prepared.scale.max / 1.0001)
+            fit.warnings.push_back("scale stands at the end of its range, 1e6 times from a white diffuser's");
+    if (prepared.by_convention)
+        fit.warnings.push_back(
+            "relative data do not determine this model's scale: by convention it is that of a white "
+            "diffuser with the data's rms");
+    if (!work.options.judge || work.control.over()) return;
+    if (!fit.physics) add_physics(work, !prepared.by_convention, variant.optimum, fit);
+    if (fit.constrained && fit.constrained->binding) return;  // folds know of no requirement
+    constexpr std::size_t kRivals = 2;                        // that folds are fitted from as well
+    std::vector<Point> starts{variant.optimum};
+    for (Point& rival : add_rivals(work, variant))
+        if (starts.size() <= kRivals) starts.push_back(std::move(rival));
+    const std::size_t free = variant.free + (variant.scale_free ? 1 : 0);
+    fit.held_out = hold_out(*variant.refitter, variant.task, work.channel, prepared.unit,
+                            weigh(work.channel, work.options.loss, robust_scale), starts, free);
+}
+
+/// Why a search is over.
+StopReason stop_of(const SearchControl& control) {
+    return control.stop.stop_requested() ? StopReason::cancelled : StopReason::time_limit;
+}
 
 std::size_t least_lobes(const kernels::Family& family) { return family.repeat ? family.repeat->min : 1; }
 
@@ -483,12 +576,12 @@ Beginning begin_robustly(const Work& work) {
     Beginning beginning;
     const Model* smaller = nullptr;
     for (std::size_t lobes = least_lobes(*work.request.family); lobes <= work.request.most_lobes(); ++lobes) {
-        const Variant variant(work, lobes);
+        const Variant variant(work, work.request.variant(lobes));
         if (!beginning.variants.empty() && !variant.possible()) break;
         variant.require_possible();
-        const Start* before = smaller != nullptr ? &beginning.variants.back().starts.front() : nullptr;
-        beginning.variants.push_back(lay_groundwork(variant.task(work), variant.prepared.bounds, before, smaller));
-        smaller = &variant.model;
+        const Point* before = smaller != nullptr ? &beginning.variants.back().starts.front() : nullptr;
+        beginning.variants.push_back(lay_groundwork(variant.task, variant.prepared.bounds, before, smaller));
+        smaller = &variant.task.model;
         beginning.scale = std::min(beginning.scale, scale_in_loss(variant.prepared.channel, work.options.loss,
                                                                   beginning.variants.back().scale) *
                                                         residual_unit(work, variant.prepared));
@@ -503,40 +596,44 @@ Fit fit_model(const Work& work, const Beginning* beginning, double robust_scale)
     const auto start = Clock::now();
     const bool automatic = work.request.family->repeat && !work.request.lobes;
     refuse_tiny(work.channel);
-    std::optional<Optimum> smaller;
-    std::optional<Fit> fit;
+    std::unique_ptr<Variant> chosen, smaller;
     std::size_t evaluations = 0;
     const std::size_t least = least_lobes(*work.request.family);
     for (std::size_t lobes = least; lobes <= work.request.most_lobes(); ++lobes) {
-        Variant variant(work, lobes);
-        if (automatic && fit && !variant.possible()) break;
-        variant.require_possible();
-        const Optimum* before = smaller ? &*smaller : nullptr;
-        const Prepared& prepared = variant.prepared;
+        auto variant = std::make_unique<Variant>(work, work.request.variant(lobes));
+        if (automatic && chosen && !variant->possible()) break;
+        variant->require_possible();
+        const Variant* const before = chosen ? chosen.get() : smaller.get();
+        const Optimum* const start_from = before != nullptr ? &before->optimum : nullptr;
+        const Prepared& prepared = variant->prepared;
         if (beginning != nullptr)
-            variant.weighted = weigh(prepared.channel, work.options.loss, robust_scale / residual_unit(work, prepared));
-        Optimum optimum = beginning != nullptr ? find_robust_optimum(variant.task(work), prepared.bounds, before,
-                                                                     beginning->variants.at(lobes - least))
-                                               : find_optimum(variant.task(work), prepared.bounds, before);
-        evaluations = optimum.record.evaluations += evaluations;
+            variant->weighted =
+                weigh(prepared.channel, work.options.loss, robust_scale / residual_unit(work, prepared));
+        const Weighted loss = variant->weighted;
+        variant->optimum = beginning != nullptr ? find_robust_optimum(variant->task, prepared.bounds, start_from,
+                                                                      beginning->variants.at(lobes - least))
+                                                : find_optimum(variant->task, prepared.bounds, start_from);
+        evaluations = variant->optimum.record.evaluations += evaluations;
+        order_lobes(work, variant->task.model, variant->optimum);
         const bool last = lobes == work.request.most_lobes();
-        if (automatic || last) {
-            Fit next = describe(work, prepared, optimum, robust_scale);
-            if (!work.options.require.empty())
-                next = required(work, prepared, variant.task(work), optimum, robust_scale, std::move(next));
-            if (automatic && fit && !(next.bic < fit->bic - kEvidence)) break;
-            fit = std::move(next);
+        if (!automatic && !last) {
+            smaller = std::move(variant);
+            continue;
         }
-        smaller = std::move(optimum);
+        describe(work, before, robust_scale, *variant);
+        if (!work.options.require.empty()) keep_to_requirements(work, before, robust_scale, loss, *variant);
+        if (chosen && !(variant->fit.bic < chosen->fit.bic - kEvidence)) break;
+        chosen = std::move(variant);
         if (automatic && !last && work.control.over()) {
-            fit->search.stop_reason = stop_of(work.control);
+            chosen->fit.search.stop_reason = stop_of(work.control);
             break;
         }
     }
-    fit->search.evaluations = evaluations;
-    fit->search.time_s = std::chrono::duration<double>(Clock::now() - start).count();
-    if (beginning != nullptr) fit->search.time_s += beginning->time_s;
-    return std::move(*fit);
+    explain(work, robust_scale, *chosen);
+    chosen->fit.search.evaluations = evaluations;
+    chosen->fit.search.time_s = std::chrono::duration<double>(Clock::now() - start).count();
+    if (beginning != nullptr) chosen->fit.search.time_s += beginning->time_s;
+    return std::move(chosen->fit);
 }
 
 /// Searches at once: enough that the device always has launches, no more than that, for each takes memory and all of
@@ -594,6 +691,18 @@ std::vector<std::string> channel_warnings(const Channel& channel) {
             "relative errors are taken"};
 }
 
+/// What a fit is ranked by; infinite where it has none.
+double measure(const Fit& fit, RankBy by) {
+    switch (by) {
+        case RankBy::loss: return fit.loss;
+        case RankBy::aicc: return fit.aicc.value_or(HUGE_VAL);
+        case RankBy::bic: return fit.bic;
+        case RankBy::held_out: return fit.held_out ? fit.held_out->loss : HUGE_VAL;
+        case RankBy::log10_rmse: return fit.log10_rmse.value_or(HUGE_VAL);
+    }
+    return HUGE_VAL;
+}
+
 /// A model to fit, and which of the request's it is a form of.
 struct Form {
     ModelRequest model;
@@ -637,14 +746,15 @@ std::vector<Outcome<Fit>> distinct(const std::vector<Form>& forms, std::vector<O
     return kept;
 }
 
-ChannelReport rank(const Channel& channel, std::vector<Outcome<Fit>> outcomes) {
+ChannelReport rank(const Channel& channel, RankBy by, std::vector<Outcome<Fit>> outcomes) {
     ChannelReport report{channel, {}, {}, channel_warnings(channel)};
     for (Outcome<Fit>& outcome : outcomes) {
         if (outcome.result) report.fits.push_back(std::move(*outcome.result));
         else report.failures.push_back(std::move(outcome.failure));
     }
-    std::stable_sort(report.fits.begin(), report.fits.end(),
-                     [](const Fit& a, const Fit& b) { return a.loss < b.loss; });
+    std::stable_sort(report.fits.begin(), report.fits.end(), [&](const Fit& a, const Fit& b) {
+        return std::pair(measure(a, by), a.loss) < std::pair(measure(b, by), b.loss);
+    });
     for (std::size_t i = 0; i < report.fits.size(); ++i) report.fits[i].rank = i + 1;
     return report;
 }
@@ -813,12 +923,15 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
     for (const Form& form : forms) warm_up(form.model);
 
     std::list<Directions> directions;
+    std::list<Noise> noises;  // one a channel
     std::vector<Work> works;  // channels x forms
     for (const Channel& channel : channels) {
         if (directions.empty() || !same_directions(channel, directions.back().samples))
             directions.emplace_back(channel);
+        noises.push_back(noise_of(channel));
         for (const Form& form : forms)
-            works.push_back({engine_, channel, directions.back(), dataset.unit, form.model, options, control});
+            works.push_back(
+                {engine_, channel, directions.back(), noises.back(), dataset.unit, form.model, options, control});
     }
     const bool robust = options.loss.robust != Robust::none;
     std::vector<Outcome<Beginning>> beginnings;
@@ -839,8 +952,9 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
     auto next = outcomes.begin();
     for (std::size_t c = 0; c < channels.size(); ++c) {
         const auto end = next + static_cast<std::ptrdiff_t>(forms.size());
-        report.channels.push_back(
-            rank(channels[c], distinct(forms, {std::make_move_iterator(next), std::make_move_iterator(end)})));
+        report.channels.push_back(rank(channels[c], options.rank_by,
+                                       distinct(forms, {std::make_move_iterator(next), std::make_move_iterator(end)})));
+        report.channels.back().noise = works[c * forms.size()].noise.record;
         if (std::isfinite(scales[c])) report.channels.back().robust_scale = scales[c];
         next = end;
     }

@@ -39,6 +39,9 @@ struct ModelRequest {
     bool operator==(const ModelRequest&) const = default;
 };
 
+/// What fits are sorted and ranked by, each the less the better; those without it come last.
+enum class RankBy { loss, aicc, bic, held_out, log10_rmse };
+
 struct FitOptions {
     Criterion loss;
     Effort effort = Effort::standard;
@@ -47,6 +50,7 @@ struct FitOptions {
     std::chrono::duration<double> time_limit{30};  ///< of the whole request
     std::vector<Requirement> require{};            ///< each at most once; a model that cannot meet them is a failure
     bool judge = true;                             ///< also held-out errors, albedo and physics
+    RankBy rank_by = RankBy::loss;                 ///< held_out needs judge
     std::optional<Scene> scene{};                  ///< with one, simpler forms of the models are fitted as well
 
     bool operator==(const FitOptions&) const = default;

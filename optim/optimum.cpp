@@ -36,22 +36,6 @@ constexpr double kSettledScale = 0.98;
 /// A loss^2 that falls to more than this part of the one before is no other fit.
 constexpr double kAsGood = 1 - 1e-6;
 
-/// The smaller variant's optimum with further lobes of no height.
-Start extended(const Model& model, const Model& smaller_model, const Start& smaller) {
-    Start start{{}, smaller.scale};
-    for (const kernels::Parameter& parameter : model.parameters) {
-        const auto known = smaller_model.find(parameter.name);
-        const bool logarithmic = parameter.scale == kernels::Scale::logarithmic;
-        start.parameters.push_back(known         ? smaller.parameters[*known]
-                                   : logarithmic ? std::sqrt(parameter.typical_min * parameter.typical_max)
-                                                 : 0.0);
-    }
-    return start;
-}
-Start extended(const Model& model, const Optimum& smaller) {
-    return extended(model, *smaller.model, {smaller.parameters, smaller.scale});
-}
-
 /// Starts within each special case that the bounds leave open.
 std::vector<std::vector<double>> special_starts(const Task& task, SpaceLoss& loss) {
     const SearchSpace& space = loss.space();
@@ -96,9 +80,9 @@ Levels levels_of(const Task& task) {
 
 /// A start where the model is 0 or nearly so at a sample has no slope, or one that leads far off: adds each with its
 /// constant terms raised to the data's.
-void add_lit(const Task& task, const std::vector<Interval>& bounds, const Levels& levels, std::vector<Start>& starts) {
+void add_lit(const Task& task, const std::vector<Interval>& bounds, const Levels& levels, std::vector<Point>& starts) {
     for (std::size_t i = 0, size = starts.size(); i < size; ++i) {
-        Start lit = starts[i];
+        Point lit = starts[i];
         for (const kernels::Term& term : task.model.terms) {
             if (!term.factor || !term.of.empty()) continue;
             double& value = lit.parameters[*term.factor];
@@ -107,15 +91,6 @@ void add_lit(const Task& task, const std::vector<Interval>& bounds, const Levels
         }
         if (lit.parameters != starts[i].parameters) starts.push_back(std::move(lit));
     }
-}
-
-/// With weights of a size that single precision can sum: sum of w y^2 near 1.
-Weighted balanced(Weighted weighted) {
-    if (!(weighted.norm > 0)) return weighted;
-    const double unit = std::exp2(std::round(std::log2(weighted.norm)));
-    for (double& w : weighted.weight) w = w / unit / unit;
-    weighted.norm /= unit;
-    return weighted;
 }
 
 /// What losses of a search are divided by: loss^2 of f = 0.
@@ -161,12 +136,24 @@ Thinned thinned(const Weighted& all, std::span<const kernels::Direction> directi
 
 /// The end of a search in parameters, with what its record says so far.
 Optimum optimum_at(const Task& task, const SearchSpace& space, const Minimum& end, const SearchRecord& record) {
-    Optimum optimum{&task.model, {}, 1, end.loss2, record};
+    Optimum optimum{{}, &task.model, end.loss2, record, {}, {}};
     optimum.parameters = space.parameters(end.u, end.coefficients, optimum.scale);
     optimum.record.stop_reason = end.stop;
     if (end.stop == StopReason::converged && SearchSpace::out_of_range(end.coefficients))
         optimum.record.stop_reason = StopReason::roundoff;
     return optimum;
+}
+
+/// The search's other ends, a few of them, and the losses of all.
+void add_others(const SearchSpace& space, SpaceLoss& loss, SearchResult& found, Optimum& optimum) {
+    constexpr std::size_t kMost = 6;
+    for (std::size_t i = 1; i < std::min(kMost, found.minima.size()); ++i) {
+        loss.complete(found.minima[i]);
+        Point point;
+        point.parameters = space.parameters(found.minima[i].u, found.minima[i].coefficients, point.scale);
+        optimum.others.push_back(std::move(point));
+    }
+    optimum.ends = found.ends;
 }
 
 /// What settling made of an optimum, unless the parameters themselves have too few digits for the search's point.
@@ -255,9 +242,9 @@ struct AllParameters {
           scale2(scale2_of(form)),
           loss(evaluator, space, scale2, &form) {}
 
-    [[nodiscard]] std::vector<std::vector<double>> points(const std::vector<Start>& starts) const {
+    [[nodiscard]] std::vector<std::vector<double>> points(const std::vector<Point>& starts) const {
         std::vector<std::vector<double>> result;
-        for (const Start& start : starts) result.push_back(space.coordinates(start.parameters, start.scale));
+        for (const Point& start : starts) result.push_back(space.coordinates(start.parameters, start.scale));
         return result;
     }
 
@@ -268,14 +255,16 @@ struct AllParameters {
 };
 
 Optimum search_in_all(const Task& task, const std::vector<Interval>& bounds, double level,
-                      const std::vector<Start>& starts, Effort effort, bool from_starts_alone) {
+                      const std::vector<Point>& starts, Effort effort, bool from_starts_alone) {
     AllParameters all(task, bounds, level, task.weighted);
     SpaceLoss* const stage = &all.loss;
     const SearchBudget allowed =
         from_starts_alone ? SearchBudget{} : budget(effort, all.space.dimension(), task.model.repeats);
     SearchResult found = search_space({&stage, 1}, allowed, task.control, all.points(starts));
     found.best.loss2 /= all.scale2;
-    return optimum_at(task, all.space, found.best, found.record);
+    Optimum optimum = optimum_at(task, all.space, found.best, found.record);
+    add_others(all.space, all.loss, found, optimum);
+    return optimum;
 }
 
 /// The squares that are searched for the loss: a logarithmic one equals the relative one for small residuals.
@@ -293,12 +282,12 @@ Weighted squares_of(const Task& task) {
 /// What a search of the coefficients' projection has found.
 struct Separable {
     Optimum optimum;            ///< not settled
-    std::vector<Start> starts;  ///< the best distinct ends
+    std::vector<Point> starts;  ///< the best distinct ends
 };
 
 /// Searches under balanced squares. `smaller`: a start, may be nullptr. `ends`: how many are asked for.
 Separable search_separable(const Task& task, const std::vector<Interval>& bounds, const Weighted& squares,
-                           const Start* smaller, std::size_t ends, Effort effort) {
+                           const Point* smaller, std::size_t ends, Effort effort) {
     const double scale2 = scale2_of(squares);
     const SearchSpace space(task.model, bounds, Unknowns::nonlinear, task.scale, 1, Charts::used, &task.directions);
     const kernels::Precision precision = task.precision.value_or(task.engine.best_precision());
@@ -327,9 +316,10 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
         search_space(stages, budget(effort, space.dimension(), task.model.repeats), task.control, seeds);
     found.best.loss2 /= scale2;
     Separable result{optimum_at(task, space, found.best, found.record), {}};
+    add_others(space, exact, found, result.optimum);
     for (std::size_t i = 0; i < std::min(ends, found.minima.size()); ++i) {
         exact.complete(found.minima[i]);
-        Start start;
+        Point start;
         start.parameters = space.parameters(found.minima[i].u, found.minima[i].coefficients, start.scale);
         result.starts.push_back(std::move(start));
     }
@@ -337,7 +327,7 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
 }
 
 /// Loss and residuals of a model at a start.
-Residuals residuals_at(const Task& task, const Start& start) {
+Residuals residuals_at(const Task& task, const Point& start) {
     std::vector<double> f = kernels::evaluate(task.engine, task.model, task.engine.best_precision(), start.parameters,
                                               task.directions, false)
                                 .f;
@@ -346,8 +336,8 @@ Residuals residuals_at(const Task& task, const Start& start) {
 }
 
 /// The ends of descents under a loss that is not quadratic in the coefficients, best first.
-std::vector<Start> descended(const Task& task, const std::vector<Interval>& bounds, double level, const Weighted& form,
-                             const std::vector<Start>& starts, std::size_t& evaluations) {
+std::vector<Point> descended(const Task& task, const std::vector<Interval>& bounds, double level, const Weighted& form,
+                             const std::vector<Point>& starts, std::size_t& evaluations) {
     constexpr DescentGoal kGoal{1e-6, 1e-24, 60};
     constexpr double kSame = 1e-2;
     AllParameters all(task, bounds, level, form);
@@ -355,11 +345,11 @@ std::vector<Start> descended(const Task& task, const std::vector<Interval>& boun
     const Landscape landscape = [&](auto at) { return all.loss.looks(at); };
     std::vector<Minimum> ends = descend_together(landscape, all.points(starts), kGoal, task.control);
     std::stable_sort(ends.begin(), ends.end(), [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
-    std::vector<Start> result;
+    std::vector<Point> result;
     for (Minimum& end : distinct_ends(ends, kSame)) {
         if (result.size() == kPolished) break;
         all.loss.complete(end);
-        Start start;
+        Point start;
         start.parameters = all.space.parameters(end.u, end.coefficients, start.scale);
         result.push_back(std::move(start));
     }
@@ -370,23 +360,55 @@ std::vector<Start> descended(const Task& task, const std::vector<Interval>& boun
 /// Of searches that others have gone before.
 Effort again(Effort effort) { return effort == Effort::standard ? Effort::draft : effort; }
 
-/// Where coefficients begin to be searched in their logarithm.
+/// Size from which on coefficients are searched by their logarithm.
 double level_of(const Task& task, const Levels& levels) {
     return 0.1 * (task.weighted.logarithmic ? levels.least : levels.middle);
 }
 
+/// The last steps of a search, and what else it has found.
+Optimum finished_with_others(const Task& task, const std::vector<Interval>& bounds, const Weighted& weighted,
+                             Unknowns unknowns, double level, double scale2, const Optimum& found) {
+    Optimum optimum = finished(task, bounds, weighted, unknowns, level, scale2, found);
+    optimum.others = found.others;
+    optimum.ends = found.ends;
+    return optimum;
+}
+
 }  // namespace
+
+Point extended(const Model& model, const Model& smaller, const Point& point) {
+    Point start{{}, point.scale};
+    for (const kernels::Parameter& parameter : model.parameters) {
+        const auto known = smaller.find(parameter.name);
+        const bool logarithmic = parameter.scale == kernels::Scale::logarithmic;
+        start.parameters.push_back(known         ? point.parameters[*known]
+                                   : logarithmic ? std::sqrt(parameter.typical_min * parameter.typical_max)
+                                                 : 0.0);
+    }
+    return start;
+}
+
+Weighted balanced(Weighted weighted) {
+    if (!(weighted.norm > 0)) return weighted;
+    const double unit = std::exp2(std::round(std::log2(weighted.norm)));
+    for (double& w : weighted.weight) w = w / unit / unit;
+    weighted.norm /= unit;
+    return weighted;
+}
+
+double coefficient_level(const Task& task) { return level_of(task, levels_of(task)); }
 
 Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, const Optimum* smaller) {
     const Weighted squares = balanced(squares_of(task));
-    std::optional<Start> extension;
-    if (smaller != nullptr) extension = extended(task.model, *smaller);
+    std::optional<Point> extension;
+    if (smaller != nullptr) extension = extended(task.model, *smaller->model, *smaller);
     Separable found = search_separable(task, bounds, squares, extension ? &*extension : nullptr,
                                        task.weighted.logarithmic ? kPolished : 0, task.effort);
     if (!task.weighted.logarithmic)
-        return finished(task, bounds, squares, Unknowns::nonlinear, 1, scale2_of(squares), std::move(found.optimum));
+        return finished_with_others(task, bounds, squares, Unknowns::nonlinear, 1, scale2_of(squares),
+                                    std::move(found.optimum));
 
-    std::vector<Start> starts;
+    std::vector<Point> starts;
     if (extension) starts.push_back(*extension);
     starts.insert(starts.end(), found.starts.begin(), found.starts.end());
     const Levels levels = levels_of(task);
@@ -394,17 +416,17 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
     const double level = level_of(task, levels);
     Optimum optimum = search_in_all(task, bounds, level, starts, task.effort, false);
     optimum.record.evaluations += found.optimum.record.evaluations;
-    return finished(task, bounds, task.weighted, Unknowns::all, level, 1, std::move(optimum));
+    return finished_with_others(task, bounds, task.weighted, Unknowns::all, level, 1, std::move(optimum));
 }
 
-Groundwork lay_groundwork(const Task& task, const std::vector<Interval>& bounds, const Start* smaller,
+Groundwork lay_groundwork(const Task& task, const std::vector<Interval>& bounds, const Point* smaller,
                           const Model* smaller_model) {
     const Weighted squares = squares_of(task);
     const Levels levels = levels_of(task);
     const double level = level_of(task, levels);
     const auto free = static_cast<std::size_t>(
         std::count_if(bounds.begin(), bounds.end(), [](const Interval& b) { return !b.fixed(); }));
-    std::optional<Start> extension;
+    std::optional<Point> extension;
     if (smaller != nullptr) extension = extended(task.model, *smaller_model, *smaller);
     Groundwork work;
     const auto search = [&](const Weighted& of, Effort effort) {
@@ -418,7 +440,7 @@ Groundwork lay_groundwork(const Task& task, const std::vector<Interval>& bounds,
     if (task.weighted.logarithmic) add_lit(task, bounds, levels, work.starts);
     work.scale = HUGE_VAL;
     std::vector<double> best;
-    for (const Start& start : work.starts) {
+    for (const Point& start : work.starts) {
         std::vector<double> r = residuals_at(task, start).r;
         const double scale = robust_scale(task.weighted, r, free);
         if (!(scale < work.scale)) continue;
@@ -445,10 +467,10 @@ Groundwork lay_groundwork(const Task& task, const std::vector<Interval>& bounds,
 Optimum find_robust_optimum(const Task& task, const std::vector<Interval>& bounds, const Optimum* smaller,
                             const Groundwork& groundwork) {
     const Weighted squares = squares_of(task);
-    const double level = level_of(task, levels_of(task));
-    std::vector<Start> starts = groundwork.starts;
-    std::optional<Start> extension;
-    if (smaller != nullptr) starts.push_back(extension.emplace(extended(task.model, *smaller)));
+    const double level = coefficient_level(task);
+    std::vector<Point> starts = groundwork.starts;
+    std::optional<Point> extension;
+    if (smaller != nullptr) starts.push_back(extension.emplace(extended(task.model, *smaller->model, *smaller)));
     // Nothing here is thinned, and the starts are good.
     const bool many = squares.y.size() > kThinAbove;
     Optimum optimum = search_in_all(task, bounds, level, starts, again(task.effort), many);
@@ -456,12 +478,12 @@ Optimum find_robust_optimum(const Task& task, const std::vector<Interval>& bound
     const double scale2 = scale2_of(task.weighted);
     // The squares that touch the loss at the best fit so far may lead to a better one.
     for (int round = 0; round < kReweightings && !task.control.over(); ++round) {
-        const Start here{optimum.parameters, optimum.scale};
+        const Point here{optimum.parameters, optimum.scale};
         const Weighted touching = balanced(reweighted(squares, task.weighted, residuals_at(task, here).r));
         Separable found =
             search_separable(task, bounds, touching, extension ? &*extension : nullptr, kPolished, again(task.effort));
         evaluations += found.optimum.record.evaluations;
-        const Start best = descended(task, bounds, level, task.weighted, found.starts, evaluations).front();
+        const Point best = descended(task, bounds, level, task.weighted, found.starts, evaluations).front();
         const double relative_loss2 = residuals_at(task, best).loss2 / scale2;
         if (!(relative_loss2 < optimum.relative_loss2)) break;
         const bool settled = relative_loss2 > optimum.relative_loss2 * kAsGood;
@@ -471,7 +493,7 @@ Optimum find_robust_optimum(const Task& task, const std::vector<Interval>& bound
         if (settled) break;
     }
     optimum.record.evaluations += evaluations;
-    return finished(task, bounds, task.weighted, Unknowns::all, level, scale2, std::move(optimum));
+    return finished_with_others(task, bounds, task.weighted, Unknowns::all, level, scale2, std::move(optimum));
 }
 
 }  // namespace brdfit::optim

@@ -15,12 +15,6 @@
 
 namespace brdfit::optim {
 
-/// A point to start from.
-struct Start {
-    std::vector<double> parameters;  ///< in the model's unit
-    double scale = 1;
-};
-
 /// Everything a search of one variant on one channel needs. References must outlive it.
 struct Task {
     kernels::Engine& engine;
@@ -35,13 +29,26 @@ struct Task {
     ScaleRange scale;  ///< of relative data; {1, 1} for absolute data
 };
 
-struct Optimum {
+/// A material, as a descent starts from or ends at.
+struct Point {
+    std::vector<double> parameters;  ///< in the model's unit
+    double scale = 1;                ///< measured = scale * f
+};
+
+struct Optimum : Point {  ///< within the bounds
     const kernels::Model* model = nullptr;
-    std::vector<double> parameters;  ///< in the model's unit, within the bounds
-    double scale = 1;
     double relative_loss2 = 0;  ///< loss^2 over that of f = 0 (Weighted::norm); for `log` loss^2
     SearchRecord record;
+    std::vector<Point> others{};  ///< ends of the search apart from the best one, best first, not polished
+    std::vector<double> ends{};   ///< relative_loss2 of all descents of the search, as it saw it
 };
+
+/// The smaller variant's point with further lobes of no height.
+Point extended(const kernels::Model& model, const kernels::Model& smaller, const Point& point);
+/// With weights of a size that single precision can sum: sum of w y^2 near 1.
+Weighted balanced(Weighted weighted);
+/// Size from which on coefficients are searched by their logarithm, where they are coordinates.
+double coefficient_level(const Task& task);
 
 /// Searches within the bounds (one for each parameter, in the model's unit). `smaller`: the optimum of a variant with
 /// fewer lobes, whose loss this one will not exceed; may be nullptr. Throws kernels::DeviceError, kernels::BuildError,
@@ -51,14 +58,14 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
 /// What a search under a robust loss begins with.
 struct Groundwork {
     double scale = 0;           ///< of the best fit's ordinary residuals, as Weighted::scale
-    std::vector<Start> starts;  ///< the best distinct fits under Cauchy's loss of that scale, best first, at least one
+    std::vector<Point> starts;  ///< the best distinct fits under Cauchy's loss of that scale, best first, at least one
     std::size_t evaluations = 0;
 };
 
 /// From the squares of task.weighted: searches, each under the squares reweighted by the fit before, until the scale no
 /// longer falls. `smaller`: of the variant with fewer lobes, of the model `smaller_model`; may be nullptr. Throws as
 /// find_optimum.
-Groundwork lay_groundwork(const Task& task, const std::vector<Interval>& bounds, const Start* smaller,
+Groundwork lay_groundwork(const Task& task, const std::vector<Interval>& bounds, const Point* smaller,
                           const kernels::Model* smaller_model);
 /// The same as find_optimum where task.weighted is robust.
 Optimum find_robust_optimum(const Task& task, const std::vector<Interval>& bounds, const Optimum* smaller,

@@ -1,10 +1,12 @@
 /// The outcome of fitting models to a dataset: plain values, nothing computed here.
 #pragma once
 
+#include <array>
 #include <cstddef>
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "kernels/cost.h"
@@ -32,6 +34,24 @@ struct FittedParameter {
     std::optional<double> std_error{};  ///< none where the data do not determine it, or it is fixed or at a bound
     bool at_bound = false;
     bool fixed = false;  ///< by the request
+    /// Holds the value with 95 % confidence, as far as noise goes; none where std_error is none but for one at a bound.
+    std::optional<std::array<double, 2>> interval_95{};
+};
+
+/// Where the sizes of the samples' noise come from.
+enum class NoiseSource {
+    none,       ///< nowhere: too few samples
+    residuals,  ///< of each fit itself: scans too sparse, too few or not independent for differences
+    given,      ///< sigma in the data
+    estimated,  ///< from differences of neighbouring samples
+};
+
+/// sigma^2 = floor^2 + (relative y)^2
+struct NoiseRecord {
+    NoiseSource source = NoiseSource::residuals;
+    std::optional<double> relative{};        ///< if estimated
+    std::optional<double> floor{};           ///< if estimated, [1/sr]
+    std::optional<double> relative_error{};  ///< standard error of sigma as a part of it
 };
 
 /// Errors over the samples of one incidence angle.
@@ -41,12 +61,34 @@ struct ScanError {
     std::optional<double> log10_rmse{};  ///< decades, over samples with y > 0 and f > 0; none if there are none
 };
 
+/// Errors at samples of incidence angles that the fit has not seen.
+struct HeldOut {
+    double rmse = 0;                     ///< [1/sr]
+    std::optional<double> log10_rmse{};  ///< decades
+    double loss = 0;                     ///< as of the fit, over all folds
+    std::vector<ScanError> angles;
+};
+
+/// Another minimum that the search has met.
+struct Rival {
+    double loss = 0;
+    std::size_t agreed = 0;  ///< descents that ended within 1e-3 of that loss
+    std::vector<std::pair<std::string, double>> parameters;
+};
+
+/// Of the estimates of the parameters that have a standard error; logarithmic ones by their logarithm.
+struct Correlations {
+    std::vector<std::string> names;
+    std::vector<double> matrix;  ///< by rows
+};
+
 struct SearchRecord {
     std::size_t starts = 0;       ///< independent local searches
     std::size_t agreed = 0;       ///< those that ended within 1e-3 of the best loss
     std::size_t evaluations = 0;  ///< candidates evaluated, all phases
     StopReason stop_reason = StopReason::converged;
     double time_s = 0;
+    std::vector<Rival> rivals{};  ///< best first, a few
 };
 
 /// Samples that a robust loss has taken most of the weight from: they keep less than a tenth.
@@ -62,6 +104,7 @@ enum class Requirement { energy_conserving, reciprocal, nonnegative };
 struct Constrained {
     std::vector<Requirement> require;
     double loss_without = 0;  ///< of the best fit without the requirement
+    bool binding = false;     ///< that fit does not meet it
 };
 
 /// The directional albedo of a fitted model: the integral of f cos theta_r over the exitant hemisphere.
@@ -84,7 +127,7 @@ struct Physics {
 
 /// One model fitted to one channel.
 struct Fit {
-    std::size_t rank = 0;  ///< from 1, by loss
+    std::size_t rank = 0;  ///< from 1, by FitOptions::rank_by
     std::string model;
     std::size_t lobes = 0;  ///< of a model with lobes, else 0
     std::string submodel;   ///< the name of a simpler form; empty for the whole model
@@ -102,6 +145,9 @@ struct Fit {
     std::optional<Physics> physics{};       ///< likewise
     std::optional<Constrained> constrained{};  ///< of a request with requirements, which the fit meets
     std::optional<kernels::Cost> cost{};  ///< of an evaluation on this device; none where judging was not asked for
+    std::optional<HeldOut> held_out{};    ///< none with fewer than two incidence angles, or not asked for
+    Correlations correlations;
+    std::size_t replicates = 0;  ///< of the bootstrap that made the intervals; 0: made from the covariance
     SearchRecord search;
     std::vector<std::string> warnings;
     /// The model at the reported parameters, times scale: what the plots draw and the errors measure.
@@ -130,6 +176,7 @@ struct ChannelReport {
     std::optional<Recommendation> recommended{};  ///< none where it was not asked for
     /// Of a robust loss: size of the best model's ordinary residuals, in the loss's unit; the same for all fits.
     std::optional<double> robust_scale{};
+    NoiseRecord noise{};
 };
 
 struct Report {

@@ -340,6 +340,7 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
         exact.complete(result.best);
         result.record = {1, 1, 1, StopReason::converged, 0};
         result.minima.push_back(result.best);
+        result.ends.push_back(result.best.loss2);
         return result;
     }
 
@@ -382,6 +383,7 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
     result.minima = distinct_ends(ends, 1e-2);
     const std::vector<Minimum> searched = ends;
     std::size_t samples = quick.samples();
+    for (const Minimum& end : searched) result.ends.push_back(end.loss2);
     for (SpaceLoss* const stage : stages.last(std::max<std::size_t>(1, stages.size() - 1))) {
         const Polish polish = stage->samples() == samples ? kSameSamples : kOtherSamples;
         samples = stage->samples();

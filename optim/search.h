@@ -58,6 +58,7 @@ struct SearchResult {
     Minimum best;
     SearchRecord record;          ///< without the time
     std::vector<Minimum> minima;  ///< distinct ends of descents, best first; not completed
+    std::vector<double> ends;     ///< loss^2 of all descents of the search, rising; as `minima`, of the first stage
 };
 
 /// An objective at a point: its value, its gradient, and its curvature by Gauss and Newton's approximation.

@@ -4,8 +4,7 @@
 #include <cmath>
 #include <limits>
 #include <map>
-
-#include <Eigen/Dense>  // small dense symmetric problems: eigenvalues tell what the data do not determine
+#include <numbers>
 
 namespace brdfit::optim {
 namespace {
@@ -31,6 +30,24 @@ struct Errors {
     }
 };
 
+/// Rounding, as a part of the data: a smaller misfit is no evidence, and its logarithm is to be finite.
+constexpr double kRounding = 1e-14;
+
+/// Over all samples, and over those of each incidence angle.
+Errors errors_of(const Channel& channel, std::span<const double> f, std::vector<ScanError>& by_angle) {
+    Errors all;
+    std::map<double, Errors> angles;
+    for (std::size_t j = 0; j < channel.samples.size(); ++j) {
+        const Sample& sample = channel.samples[j];
+        if (sample.weight < 1) continue;
+        all.add(f[j], sample.brdf);
+        angles[sample.direction.theta_i_deg].add(f[j], sample.brdf);
+    }
+    for (const auto& [theta_i_deg, errors] : angles)
+        by_angle.push_back({theta_i_deg, errors.rmse(), errors.log10_rmse()});
+    return all;
+}
+
 }  // namespace
 
 Residuals residuals(const Weighted& weighted, std::span<const double> f) {
@@ -53,81 +70,61 @@ Residuals residuals(const Weighted& weighted, std::span<const double> f) {
     return result;
 }
 
-void describe_errors(const Channel& channel, const Weighted& weighted, std::size_t free, Fit& fit) {
-    Errors all;
-    std::map<double, Errors> by_angle;
-    for (std::size_t j = 0; j < channel.samples.size(); ++j) {
-        const Sample& sample = channel.samples[j];
-        if (sample.weight < 1) continue;
-        all.add(fit.values[j], sample.brdf);
-        by_angle[sample.direction.theta_i_deg].add(fit.values[j], sample.brdf);
-    }
+void describe_errors(const Channel& channel, Fit& fit) {
+    const Errors all = errors_of(channel, fit.values, fit.scans);
     fit.rmse = all.rmse();
     fit.log10_rmse = all.log10_rmse();
-    for (const auto& [theta_i_deg, errors] : by_angle)
-        fit.scans.push_back({theta_i_deg, errors.rmse(), errors.log10_rmse()});
-
-    // Gaussian noise of unknown size under the loss's weights: -2 ln L = n ln loss^2 + constant; it counts as one
-    // parameter. A loss that is rounding is held at rounding's size: no evidence, and a finite logarithm.
-    const auto n = static_cast<double>(weighted.used);
-    const double k = static_cast<double>(free) + 1;
-    constexpr double kRounding = 1e-14;  // of the data
-    const double loss = std::max(fit.loss, kRounding * weighted.norm);
-    double deviance = n * std::log(std::max(loss * loss, std::numeric_limits<double>::min()));
-    // The scale of a robust loss is common to all models: -2 ln L = 2 sum rho (Ronchetti 1985).
-    if (weighted.robust != Robust::none) deviance = (fit.loss / weighted.scale) * (fit.loss / weighted.scale);
-    if (n > k + 1) fit.aicc = deviance + 2 * k + 2 * k * (k + 1) / (n - k - 1);
-    fit.bic = deviance + k * std::log(n);
 }
 
-std::vector<std::optional<double>> standard_errors(const Weighted& weighted, const Residuals& residuals,
-                                                   const std::vector<std::vector<double>>& jacobian) {
-    const auto p = static_cast<Eigen::Index>(jacobian.size());
-    std::vector<std::optional<double>> result(jacobian.size());
-    if (p == 0 || weighted.used <= jacobian.size()) return result;
-
-    // Rows sqrt(w) dr/dp, each parameter scaled to unit length.
-    const auto n = static_cast<Eigen::Index>(residuals.r.size());
-    Eigen::MatrixXd rows(n, p);
-    for (Eigen::Index j = 0; j < n; ++j)
-        for (Eigen::Index i = 0; i < p; ++i) {
-            const auto js = static_cast<std::size_t>(j);
-            rows(j, i) =
-                std::sqrt(weighted.weight[js]) * residuals.by_f[js] * jacobian[static_cast<std::size_t>(i)][js];
-        }
-    const Eigen::VectorXd size = rows.colwise().norm();
-    for (Eigen::Index i = 0; i < p; ++i)
-        if (size(i) > 0) rows.col(i) /= size(i);
-    if (!rows.allFinite()) return result;
-
-    const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> eigen(rows.transpose() * rows);
-    constexpr double kUndetermined = 1e-11;  // relative to unit columns: below, a direction is rounding noise
-    Eigen::VectorXd inverse = eigen.eigenvalues();
-    std::vector<bool> determined(jacobian.size(), true);
-    for (Eigen::Index e = 0; e < p; ++e) {
-        if (inverse(e) > kUndetermined) {
-            inverse(e) = 1 / inverse(e);
-            continue;
-        }
-        inverse(e) = 0;
-        for (Eigen::Index i = 0; i < p; ++i)
-            if (std::abs(eigen.eigenvectors()(i, e)) > 1e-3) determined[static_cast<std::size_t>(i)] = false;
-    }
-    const Eigen::MatrixXd a_inverse = eigen.eigenvectors() * inverse.asDiagonal() * eigen.eigenvectors().transpose();
-    Eigen::MatrixXd b = Eigen::MatrixXd::Zero(p, p);
-    for (Eigen::Index j = 0; j < n; ++j) {
-        const auto js = static_cast<std::size_t>(j);
-        const double leverage = rows.row(j) * a_inverse * rows.row(j).transpose();
-        const double r = std::sqrt(weighted.weight[js]) * residuals.r[js] / std::max(1 - leverage, 0.05);
-        b += r * r * rows.row(j).transpose() * rows.row(j);
-    }
-    const Eigen::MatrixXd covariance = a_inverse * b * a_inverse;
-    for (Eigen::Index i = 0; i < p; ++i) {
-        const double error = std::sqrt(std::max(covariance(i, i), 0.0)) / size(i);
-        if (determined[static_cast<std::size_t>(i)] && size(i) > 0 && std::isfinite(error))
-            result[static_cast<std::size_t>(i)] = error;
-    }
+HeldOut held_out_errors(const Channel& channel, const Weighted& weighted, std::span<const double> predicted) {
+    HeldOut result;
+    const Errors all = errors_of(channel, predicted, result.angles);
+    result.rmse = all.rmse();
+    result.log10_rmse = all.log10_rmse();
+    result.loss = std::sqrt(residuals(weighted, predicted).loss2);
     return result;
+}
+
+Weighted weigh_by(const Channel& channel, std::span<const double> sigma) {
+    Weighted result;
+    result.used = channel.samples.size();
+    double norm2 = 0;
+    for (std::size_t j = 0; j < sigma.size(); ++j) {
+        const double y = channel.samples[j].brdf;
+        result.y.push_back(y);
+        result.weight.push_back(channel.samples[j].weight / (sigma[j] * sigma[j]));
+        norm2 += result.weight[j] * y * y;
+    }
+    result.norm = std::sqrt(norm2);
+    return result;
+}
+
+double deviance(const Channel& channel, std::span<const double> sigma, std::span<const double> f) {
+    double n = 0;
+    double z2 = 0;
+    double sizes = 0;
+    for (std::size_t j = 0; j < sigma.size(); ++j) {
+        const double y = channel.samples[j].brdf;
+        const double z = std::hypot(f[j] - y, kRounding * y) / sigma[j];
+        const double weight = channel.samples[j].weight;
+        n += weight;
+        z2 += weight * z * z;
+        sizes += weight * 2 * std::log(sigma[j]);
+    }
+    return n * std::log(2 * std::numbers::pi * std::max(z2 / n, std::numeric_limits<double>::min())) + sizes + n;
+}
+
+double deviance(const Weighted& weighted, double loss) {
+    const double held = std::max(loss, kRounding * weighted.norm);
+    return static_cast<double>(weighted.used) * std::log(std::max(held * held, std::numeric_limits<double>::min()));
+}
+
+void describe_evidence(double deviance, std::size_t samples, std::size_t free, Fit& fit) {
+    const auto n = static_cast<double>(samples);
+    const double k = static_cast<double>(free) + 1;
+    fit.aicc.reset();
+    if (n > k + 1) fit.aicc = deviance + 2 * k + 2 * k * (k + 1) / (n - k - 1);
+    fit.bic = deviance + k * std::log(n);
 }
 
 }  // namespace brdfit::optim

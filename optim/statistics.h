@@ -1,4 +1,4 @@
-/// Errors of a fit and of its parameters.
+/// Errors of a fit and the evidence for its model.
 #pragma once
 
 #include <cstddef>
@@ -19,14 +19,22 @@ struct Residuals {
 };
 Residuals residuals(const Weighted& weighted, std::span<const double> f);
 
-/// rmse, error in decades, errors by incidence angle, AICc and BIC of `free` parameters, into the fit. A loss below
-/// 1e-14 of the data counts as that much.
-void describe_errors(const Channel& channel, const Weighted& weighted, std::size_t free, Fit& fit);
+/// rmse, error in decades, errors by incidence angle, into the fit.
+void describe_errors(const Channel& channel, Fit& fit);
 
-/// Standard errors of the free parameters by the sandwich A^-1 B A^-1, A = sum w J J', B = sum (w r)^2 J J' with each
-/// residual divided by 1 - its leverage (HC3): right for noise that varies from sample to sample.
-/// jacobian: one row a parameter, d f/d p at each sample. None for a parameter that the data do not determine.
-std::vector<std::optional<double>> standard_errors(const Weighted& weighted, const Residuals& residuals,
-                                                   const std::vector<std::vector<double>>& jacobian);
+/// Errors and loss of values predicted for samples that were not fitted.
+HeldOut held_out_errors(const Channel& channel, const Weighted& weighted, std::span<const double> predicted);
+
+/// The measured values with weights 1/sigma^2, by which least squares are maximum likelihood.
+Weighted weigh_by(const Channel& channel, std::span<const double> sigma);
+
+/// -2 ln L of n independent Gaussian errors of sizes s sigma_j, s being the most likely: n ln(2 pi s^2) +
+/// sum ln sigma_j^2 + n with s^2 = sum ((f - y)/sigma)^2/n. Residuals below 1e-14 of the values count as that.
+double deviance(const Channel& channel, std::span<const double> sigma, std::span<const double> f);
+/// The same of a loss alone, without the sizes: n ln loss^2, of the samples that have a weight.
+double deviance(const Weighted& weighted, double loss);
+
+/// AICc and BIC of so many free parameters and the errors' size, of n samples, into the fit.
+void describe_evidence(double deviance, std::size_t n, std::size_t free, Fit& fit);
 
 }  // namespace brdfit::optim

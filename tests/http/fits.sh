@@ -31,12 +31,12 @@ holds "every model asked for" '[.channels[0].fits[].model] | sort == ["he_torran
 holds "fits are sorted by loss" '[.channels[0].fits[].loss] | . == sort'
 holds "ranks count from 1" '[.channels[0].fits[].rank] == [1, 2, 3, 4]'
 holds "members of a fit" 'all(.channels[0].fits[]; (keys_unsorted - ["lobes", "warnings"]) == ["rank", "model", "parameters",
-    "loss", "relative_loss", "rmse", "log10_rmse", "aicc", "bic", "scans", "search", "links"])'
+    "loss", "relative_loss", "rmse", "log10_rmse", "aicc", "bic", "held_out", "scans", "correlations", "search", "links"])'
 holds "numbers of a fit" 'all(.channels[0].fits[]; all(.loss, .relative_loss, .rmse, .log10_rmse, .aicc, .bic;
     type == "number"))'
 holds "lobes of lafortune alone" \
     'all(.channels[0].fits[]; if .model == "lafortune" then .lobes == 2 else has("lobes") | not end)'
-holds "parameters" 'all(.channels[0].fits[].parameters[]; (keys_unsorted - ["fixed"]) == ["value", "std_error", "unit", "at_bound"]
+holds "parameters" 'all(.channels[0].fits[].parameters[]; (keys_unsorted - ["fixed"]) == ["value", "std_error", "interval_95", "unit", "at_bound"]
     and (.value | type == "number") and (.std_error | type | IN("number", "null")) and (.at_bound | type == "boolean"))'
 # parameters MODEL UNIT NAME...: in this order; the unit is that of the first
 parameters() {
@@ -54,7 +54,7 @@ holds "a fixed parameter stays" '.channels[0].fits[] | select(.model == "lafortu
 holds "bounds are kept" '.channels[0].fits[] | select(.model == "lafortune").parameters.n_1.value | . >= 1 and . <= 500'
 holds "scans" 'all(.channels[0].fits[]; [.scans[].theta_i_deg] == [15, 45]
     and all(.scans[]; keys_unsorted == ["theta_i_deg", "rmse", "log10_rmse"] and (.rmse | type == "number")))'
-holds "search" 'all(.channels[0].fits[].search; keys_unsorted == ["starts", "agreed", "evaluations", "stop_reason", "time_s"]
+holds "search" 'all(.channels[0].fits[].search; keys_unsorted == ["starts", "agreed", "evaluations", "stop_reason", "time_s", "rivals"]
     and .starts >= 1 and .agreed >= 1 and .agreed <= .starts and .evaluations >= 1 and .time_s >= 0
     and (.stop_reason | IN("converged", "evaluation_limit", "time_limit", "roundoff", "cancelled")))'
 

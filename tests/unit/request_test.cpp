@@ -329,7 +329,9 @@ TEST(CsvRequest, ReadsTheQuery) {
                                                      {"effort", "draft"},
                                                      {"precision", "double"},
                                                      {"seed", "7"},
-                                                     {"time_limit_s", "1.5"}},
+                                                     {"time_limit_s", "1.5"},
+                                                     {"judge", "false"},
+                                                     {"rank_by", "bic"}},
                                                     catalogue());
     EXPECT_EQ(request.dataset.name, "12");
     EXPECT_EQ(request.dataset.unit, optim::Unit::relative);
@@ -337,7 +339,7 @@ TEST(CsvRequest, ReadsTheQuery) {
     EXPECT_EQ(request.models[0], (optim::ModelRequest{catalogue().find("ward"), {}, {}, {}}));
     EXPECT_EQ(request.options,
               (optim::FitOptions{optim::Loss::chi2, optim::Effort::draft, kernels::Precision::double_precision, 7,
-                                 std::chrono::duration<double>(1.5)}));
+                                 std::chrono::duration<double>(1.5), false, optim::RankBy::bic}));
 }
 
 TEST(CsvRequest, EqualsTheSameRequestInJson) {
@@ -366,6 +368,10 @@ TEST(CsvRequest, RefusesTheQuery) {
     EXPECT_EQ(errors({{"seed", "1e999"}}), Errors{"/options/seed wrong_type"});
     EXPECT_EQ(errors({{"time_limit_s", "nan"}}), Errors{"/options/time_limit_s wrong_type"});
     EXPECT_EQ(errors({{"models", "he_torrance"}}), Errors{"/dataset/channels/0 too_few_samples"});
+    EXPECT_EQ(errors({{"judge", "1"}}), Errors{"/options/judge wrong_type"});
+    EXPECT_EQ(errors({{"rank_by", "luck"}}), Errors{"/options/rank_by unknown_value"});
+    EXPECT_EQ(errors({{"models", "ward"}, {"rank_by", "held_out"}, {"judge", "false"}}),
+              Errors{"/options/rank_by contradiction"});
     EXPECT_EQ(errors({{"seed", "1"}, {"seed", "2"}}).front(), "/seed duplicate_key");
 }
 

@@ -35,8 +35,9 @@ optim::Report report() {
     fit.rank = 1;
     fit.model = "lafortune";
     fit.lobes = 2;
-    fit.parameters = {
-        {"k_d", "1", 0.5, 0.25, false, false}, {"n_1", "1", 30, {}, true, false}, {"tau", "um", 2, {}, false, true}};
+    fit.parameters = {{"k_d", "1", 0.5, 0.25, false, false, {{0.25, 0.75}}},
+                      {"n_1", "1", 30, {}, true, false},
+                      {"tau", "um", 2, {}, false, true}};
     fit.loss = 0.125;
     fit.relative_loss = 0.5;
     fit.rmse = 0.0625;
@@ -44,8 +45,11 @@ optim::Report report() {
     fit.aicc = -10;
     fit.bic = -9;
     fit.scans = {{15, 0.1, 0.2}};
-    fit.search = {16, 15, 900, optim::StopReason::roundoff, 0.5};
-    optim::ChannelReport channel{{"grün & 1/2", 550, {{{15, 30, 0}, 1, {}}}}, {fit}, {}, {}};
+    fit.search = {16, 15, 900, optim::StopReason::roundoff, 0.5, {{0.5, 3, {{"k_d", 0.25}}}}};
+    fit.held_out = optim::HeldOut{0.5, {}, 0.25, {{15, 0.5, {}}}};
+    fit.correlations = {{"a", "b"}, {1, 0.5, 0.5, 1}};
+    const optim::NoiseRecord noise{optim::NoiseSource::estimated, 0.25, 0.125, 0.0625};
+    optim::ChannelReport channel{{"grün & 1/2", 550, {{{15, 30, 0}, 1, {}}}}, {fit}, {}, {}, noise};
     return {"a surface",
             optim::Unit::per_steradian,
             7,
@@ -77,12 +81,13 @@ TEST(Response, HasItsMembersInOrder) {
     EXPECT_THAT(keys(body["device"]), ElementsAre("name", "platform", "type", "precision"));
     EXPECT_THAT(keys(body["links"]), ElementsAre("self", "result", "plots"));
     const Json& channel = body["channels"][0];
-    EXPECT_THAT(keys(channel), ElementsAre("name", "wavelength_nm", "samples", "loss", "fits", "failures"));
+    EXPECT_THAT(keys(channel), ElementsAre("name", "wavelength_nm", "samples", "loss", "noise", "fits", "failures"));
     const Json& fit = channel["fits"][0];
-    EXPECT_THAT(keys(fit), ElementsAre("rank", "model", "lobes", "parameters", "loss", "relative_loss", "rmse",
-                                       "log10_rmse", "aicc", "bic", "scans", "search", "links"));
+    EXPECT_THAT(keys(fit),
+                ElementsAre("rank", "model", "lobes", "parameters", "loss", "relative_loss", "rmse", "log10_rmse",
+                            "aicc", "bic", "held_out", "scans", "correlations", "search", "links"));
     EXPECT_THAT(keys(fit["parameters"]), ElementsAre("k_d", "n_1", "tau"));
-    EXPECT_THAT(keys(fit["search"]), ElementsAre("starts", "agreed", "evaluations", "stop_reason", "time_s"));
+    EXPECT_THAT(keys(fit["search"]), ElementsAre("starts", "agreed", "evaluations", "stop_reason", "time_s", "rivals"));
 }
 
 TEST(Response, SaysWhatTheReportSays) {
@@ -96,12 +101,18 @@ TEST(Response, SaysWhatTheReportSays) {
     EXPECT_EQ(body["dataset"], Json::parse(R"({"name": "a surface", "unit": "1/sr"})"));
     const Json& fit = body["channels"][0]["fits"][0];
     EXPECT_EQ(fit["parameters"], Json::parse(R"({
-        "k_d": {"value": 0.5, "std_error": 0.25, "unit": "1", "at_bound": false},
-        "n_1": {"value": 30.0, "std_error": null, "unit": "1", "at_bound": true},
-        "tau": {"value": 2.0, "std_error": null, "unit": "um", "at_bound": false, "fixed": true}})"));
+        "k_d": {"value": 0.5, "std_error": 0.25, "interval_95": [0.25, 0.75], "unit": "1", "at_bound": false},
+        "n_1": {"value": 30.0, "std_error": null, "interval_95": null, "unit": "1", "at_bound": true},
+        "tau": {"value": 2.0, "std_error": null, "interval_95": null, "unit": "um", "at_bound": false, "fixed": true}})"));
     EXPECT_EQ(fit["scans"], Json::parse(R"([{"theta_i_deg": 15.0, "rmse": 0.1, "log10_rmse": 0.2}])"));
     EXPECT_EQ(fit["search"], Json::parse(R"({"starts": 16, "agreed": 15, "evaluations": 900,
-        "stop_reason": "roundoff", "time_s": 0.5})"));
+        "stop_reason": "roundoff", "time_s": 0.5,
+        "rivals": [{"loss": 0.5, "agreed": 3, "parameters": {"k_d": 0.25}}]})"));
+    EXPECT_EQ(fit["held_out"], Json::parse(R"({"rmse": 0.5, "log10_rmse": null, "loss": 0.25,
+        "angles": [{"theta_i_deg": 15.0, "rmse": 0.5, "log10_rmse": null}]})"));
+    EXPECT_EQ(fit["correlations"], Json::parse(R"({"names": ["a", "b"], "matrix": [[1.0, 0.5], [0.5, 1.0]]})"));
+    EXPECT_EQ(body["channels"][0]["noise"],
+              Json::parse(R"({"relative": 0.25, "floor": 0.125, "uncertainty": 0.0625, "source": "estimated"})"));
     EXPECT_EQ(body["links"], Json::parse(R"({"self": "/v1/fits/an-id", "result": "/v1/fits/an-id/result", "plots": {
         "brdf": "/v1/fits/an-id/plots/brdf.svg", "residual": "/v1/fits/an-id/plots/residual.svg",
         "summary": "/v1/fits/an-id/plots/summary.svg"}})"));

@@ -1,0 +1,189 @@
+#include "optim/noise.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <map>
+#include <numbers>
+#include <optional>
+#include <span>
+#include <utility>
+
+namespace brdfit::optim {
+namespace {
+
+/// Of the differences: of the third, peaks as wide as ten steps still show 2 %; higher ones tell no more.
+constexpr std::size_t kOrder = 4;
+/// Fewer differences tell the size of noise to no better than a third.
+constexpr std::size_t kFewest = 12;
+/// More tell no more that matters.
+constexpr std::size_t kMost = 20000;
+/// If more differences than this part are no noise, the samples are not independent: interpolated, or too far apart.
+constexpr double kMostForeign = 0.25;
+/// A sum of squares of overlapping differences has the spread of one of so many times fewer independent ones: the sum
+/// of the squared correlations of fourth differences of even steps.
+constexpr double kOverlap = 2.63;
+/// What cannot be told from rounding, of a value.
+constexpr double kRounding = 1e-12;
+
+/// A difference r of neighbouring samples: variance `floor` F + `relative` R for noise of variance F + R y^2.
+struct Difference {
+    double r2 = 0;
+    double floor = 1;
+    double relative = 0;
+};
+
+/// Of values, and of their logarithms, in which the flank of a peak is smooth, if all are positive.
+struct Window {
+    Difference linear;
+    std::optional<Difference> logarithmic;
+    double least = 0;  ///< value
+};
+
+using Curve = std::vector<std::pair<double, double>>;  // (angle, value), rising
+
+Window window_of(std::span<const std::pair<double, double>> points) {
+    std::array<double, kOrder + 1> c{};
+    double norm2 = 0;
+    for (std::size_t k = 0; k <= kOrder; ++k) {
+        c[k] = 1;
+        for (std::size_t l = 0; l <= kOrder; ++l)
+            if (l != k) c[k] /= points[k].first - points[l].first;
+        norm2 += c[k] * c[k];
+    }
+    Window window{{0, 1, 0}, Difference{0, 0, 1}, points[0].second};
+    double linear = 0;
+    double logarithmic = 0;
+    for (std::size_t k = 0; k <= kOrder; ++k) {
+        const double x = c[k] / std::sqrt(norm2);
+        const double y = points[k].second;
+        linear += x * y;
+        window.linear.relative += x * x * y * y;
+        window.least = std::min(window.least, y);
+        if (!(y > 0)) continue;
+        logarithmic += x * std::log(y);
+        window.logarithmic->floor += x * x / (y * y);
+    }
+    window.linear.r2 = linear * linear;
+    window.logarithmic->r2 = logarithmic * logarithmic;
+    if (!(window.least > 0)) window.logarithmic.reset();
+    return window;
+}
+
+/// Windows along every curve of one incidence and one azimuth; values in a unit of their own size.
+std::vector<Window> windows_of(const Channel& channel, double unit) {
+    std::map<std::pair<double, double>, Curve> curves;
+    for (const Sample& sample : channel.samples) {
+        const kernels::Direction d = canonical(sample.direction);
+        curves[{d.theta_i_deg, d.phi_deg}].emplace_back(d.theta_r_deg, sample.brdf / unit);
+    }
+    std::vector<Window> windows;
+    for (auto& [key, curve] : curves) {
+        std::stable_sort(curve.begin(), curve.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
+        // Repeated directions: the first stands for all.
+        curve.erase(std::unique(curve.begin(), curve.end(),
+                                [](const auto& a, const auto& b) { return b.first - a.first < 1e-6; }),
+                    curve.end());
+        for (std::size_t i = 0; i + kOrder < curve.size(); ++i)
+            windows.push_back(window_of(std::span(curve).subspan(i, kOrder + 1)));
+    }
+    if (windows.size() <= kMost) return windows;
+    std::vector<Window> some;
+    for (std::size_t i = 0; i < kMost; ++i) some.push_back(windows[i * windows.size() / kMost]);
+    return some;
+}
+
+/// Variances F and R.
+struct Sizes {
+    double floor = 0;
+    double relative = 0;
+    double foreign = 0;  ///< part of the differences that are no noise
+};
+
+/// Maximum likelihood under a mixture: Gaussian noise, and among it differences of any size (Cauchy's density) where
+/// the curve is not smooth. By expectation and maximisation.
+Sizes sizes_of(const std::vector<Window>& windows, double least) {
+    constexpr double kWidth = 5;     // of the foreign differences, in sigma
+    constexpr double kSurely = 0.2;  // relative noise up to which logarithms are as good as linear
+    constexpr int kRounds = 200;
+    std::vector<double> ratios;
+    for (const Window& w : windows) ratios.push_back(w.linear.r2 / std::max(w.linear.relative, 1e-300));
+    const auto middle = ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() / 2);
+    std::nth_element(ratios.begin(), middle, ratios.end());
+    constexpr double kMedian = 0.4549;  // of chi^2 with one degree of freedom
+    constexpr double kLeast = kRounding * kRounding;
+    Sizes at{0, std::max(*middle / kMedian, kLeast), 0.1};
+    at.floor = at.relative * least * least / 100;
+    for (int round = 0; round < kRounds; ++round) {
+        double aa = 0, aq = 0, qq = 0, ar = 0, qr = 0, noise = 0;
+        for (const Window& w : windows) {
+            const double error2 = w.least > 0 ? at.floor / (w.least * w.least) + at.relative : HUGE_VAL;
+            const Difference& d = w.logarithmic && error2 < kSurely * kSurely ? *w.logarithmic : w.linear;
+            const double variance = d.floor * at.floor + d.relative * at.relative + 1e-300;
+            const double z2 = d.r2 / variance;
+            const double gauss = (1 - at.foreign) * std::exp(-z2 / 2) / std::sqrt(2 * std::numbers::pi);
+            const double cauchy = at.foreign / (std::numbers::pi * kWidth * (1 + z2 / (kWidth * kWidth)));
+            const double p = gauss / (gauss + cauchy);
+            noise += p;
+            // Scoring: r^2 regressed on its expectation, by the inverse of its variance.
+            const double weight = p / (variance * variance);
+            aa += weight * d.floor * d.floor;
+            aq += weight * d.floor * d.relative;
+            qq += weight * d.relative * d.relative;
+            ar += weight * d.floor * d.r2;
+            qr += weight * d.relative * d.r2;
+        }
+        const Sizes before = at;
+        const double determinant = aa * qq - aq * aq;
+        at.floor = determinant > 1e-12 * aa * qq ? (ar * qq - qr * aq) / determinant : 0;
+        at.relative = determinant > 1e-12 * aa * qq ? (aa * qr - aq * ar) / determinant : 0;
+        if (!(at.floor > 0)) at.floor = 0, at.relative = qq > 0 ? qr / qq : 0;
+        else if (!(at.relative > 0)) at.relative = 0, at.floor = aa > 0 ? ar / aa : 0;
+        at.relative = std::max(at.relative, kLeast);
+        at.floor = std::max(at.floor, 1e-4 * at.relative * least * least);
+        at.foreign = std::clamp(1 - noise / static_cast<double>(windows.size()), 1e-3, 0.5);
+        const auto still = [](double a, double b) { return std::abs(a - b) <= 1e-4 * a; };
+        if (still(at.floor, before.floor) && still(at.relative, before.relative)) break;
+    }
+    return at;
+}
+
+}  // namespace
+
+Noise noise_of(const Channel& channel) {
+    Noise noise;
+    const auto& samples = channel.samples;
+    if (std::all_of(samples.begin(), samples.end(), [](const Sample& s) { return s.sigma.has_value(); })) {
+        noise.record.source = NoiseSource::given;
+        noise.degrees = std::numeric_limits<double>::infinity();
+        for (const Sample& sample : samples) noise.sigma.push_back(*sample.sigma);
+        return noise;
+    }
+    double unit = 0;
+    for (const Sample& sample : samples) unit = std::max(unit, std::abs(sample.brdf));
+    if (!(unit > 0) || samples.size() < 3) {
+        noise.record.source = NoiseSource::none;
+        return noise;
+    }
+    const std::vector<Window> windows = windows_of(channel, unit);
+    if (windows.size() < kFewest) return noise;
+    // A value that is 0 has been cut off: its noise is at least the smallest value that was not.
+    double least = 1;
+    for (const Sample& sample : samples)
+        if (sample.brdf != 0) least = std::min(least, std::abs(sample.brdf) / unit);
+    const Sizes sizes = sizes_of(windows, least);
+    if (sizes.foreign > kMostForeign) return noise;
+    noise.record.source = NoiseSource::estimated;
+    noise.record.relative = std::sqrt(sizes.relative);
+    const bool cut = std::any_of(samples.begin(), samples.end(), [](const Sample& s) { return s.brdf == 0; });
+    const double floor = std::max(std::sqrt(sizes.floor), cut ? std::min(least, *noise.record.relative) : 0.0);
+    noise.record.floor = floor * unit;
+    noise.degrees = static_cast<double>(windows.size()) * (1 - sizes.foreign) / kOverlap;
+    noise.record.relative_error = std::sqrt(1 / (2 * noise.degrees));
+    for (const Sample& sample : samples)
+        noise.sigma.push_back(std::hypot(*noise.record.floor, *noise.record.relative * sample.brdf));
+    return noise;
+}
+
+}  // namespace brdfit::optim

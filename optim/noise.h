@@ -1,0 +1,23 @@
+/// How noisy the samples of a channel are, by the data alone.
+#pragma once
+
+#include <vector>
+
+#include "optim/dataset.h"
+#include "optim/report.h"
+
+namespace brdfit::optim {
+
+/// Standard deviations of a channel's samples. Independent Gaussian noise with sigma_j^2 = floor^2 + (relative y_j)^2,
+/// or as given.
+struct Noise {
+    NoiseRecord record;
+    std::vector<double> sigma;  ///< one a sample, > 0, in the data's unit; empty where only residuals can tell
+    double degrees = 0;         ///< of freedom of the estimate; infinite if sigma was given
+};
+
+/// What the channel's sigma say, if every sample has one; else what fourth divided differences along its scans do,
+/// which a smooth curve hardly has (docs/statistics.md).
+Noise noise_of(const Channel& channel);
+
+}  // namespace brdfit::optim

@@ -1,0 +1,52 @@
+#include "optim/refit.h"
+
+#include <algorithm>
+
+#include "optim/descent.h"
+
+namespace brdfit::optim {
+
+Refitter::Refitter(const Task& task, const std::vector<Interval>& bounds, Residual residual)
+    : task_(task),
+      logarithmic_(residual == Residual::of_loss && task.weighted.logarithmic),
+      space_(task.model, bounds, logarithmic_ ? Unknowns::all : Unknowns::nonlinear, task.scale,
+             logarithmic_ ? coefficient_level(task) : 1.0, Charts::used, &task.directions),
+      evaluator_(task.engine, task.model, task.engine.best_precision(), task.directions, {}, {}) {}
+
+std::vector<Refitter::End> Refitter::descend(const Weighted& weighted, std::span<const Point> starts, double relative) {
+    constexpr int kMostLooks = 40;
+    const Weighted data = logarithmic_ ? weighted : balanced(weighted);
+    const double norm2 = data.norm > 0 && !logarithmic_ ? data.norm * data.norm : 1.0;
+    const double unit2 = data.norm > 0 && !logarithmic_ ? weighted.norm * weighted.norm / norm2 : 1.0;
+    evaluator_.assign(data.y, data.weight);
+    SpaceLoss loss(evaluator_, space_, norm2, logarithmic_ ? &data : nullptr);
+    std::vector<Minimum> ends;
+    if (space_.dimension() == 0) {
+        ends.emplace_back();
+    } else {
+        std::vector<std::vector<double>> from;
+        for (const Point& start : starts) from.push_back(space_.coordinates(start.parameters, start.scale));
+        const Landscape landscape = [&](auto at) { return loss.looks(at); };
+        ends = descend_together(landscape, from, {relative, 1e-26, kMostLooks}, task_.control);
+    }
+    std::vector<End> result;
+    for (Minimum& minimum : ends) {
+        const StopReason stop = minimum.stop;
+        loss.complete(minimum);
+        End end{{}, minimum.loss2 * unit2, stop};
+        end.parameters = space_.parameters(minimum.u, minimum.coefficients, end.scale);
+        result.push_back(std::move(end));
+    }
+    std::stable_sort(result.begin(), result.end(), [](const End& a, const End& b) { return a.loss2 < b.loss2; });
+    evaluations_ += loss.evaluations();
+    return result;
+}
+
+kernels::Values Refitter::values(const Point& point, bool gradient) {
+    kernels::Values values = evaluator_.values(point.parameters, gradient);
+    for (double& f : values.f) f *= point.scale;
+    for (double& slope : values.by_parameter) slope *= point.scale;
+    return values;
+}
+
+}  // namespace brdfit::optim

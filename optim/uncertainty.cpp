@@ -1,0 +1,482 @@
+#include "optim/uncertainty.h"
+
+#include <algorithm>
+#include <cmath>
+#include <random>
+
+#include <fmt/format.h>
+#include <Eigen/Dense>  // small dense symmetric problems: eigenvalues tell what the data do not determine
+#include <boost/math/distributions/normal.hpp>  // quantiles
+#include <boost/math/distributions/students_t.hpp>
+
+#include "optim/statistics.h"
+
+namespace brdfit::optim {
+namespace {
+
+using Eigen::Index;
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
+
+constexpr double kConfidence = 0.95;
+/// Parts of the data's size that are rounding.
+constexpr double kUnseen = 1e-12;
+/// Relative to unit columns: below, a direction is rounding noise.
+constexpr double kUndetermined = 1e-11;
+
+std::size_t at(Index i) { return static_cast<std::size_t>(i); }
+
+/// The scale on which an estimate is most nearly normal.
+enum class Own {
+    linear,
+    logarithm,
+    square,  ///< of a parameter that the model is even in: at 0 it has no slope
+};
+
+/// One unknown on its own scale, z.
+struct Coordinate {
+    std::optional<std::size_t> parameter;  ///< none: the scale of relative data
+    Own own;
+    double p;  ///< its value
+
+    [[nodiscard]] double z(double value) const {
+        return own == Own::logarithm ? std::log(value) : own == Own::square ? value * value : value;
+    }
+    [[nodiscard]] double value(double z) const {
+        return own == Own::logarithm ? std::exp(z) : own == Own::square ? std::sqrt(std::max(z, 0.0)) : z;
+    }
+    /// d value/d z at a value.
+    [[nodiscard]] double slope(double value) const {
+        return own == Own::logarithm ? value : own == Own::square ? 0.5 / value : 1.0;
+    }
+    /// What counts as a large step of z.
+    [[nodiscard]] double size(const kernels::Model& model) const {
+        if (own == Own::logarithm) return 1;
+        const kernels::Parameter& declared = model.parameters[*parameter];
+        const double least = 1e-2 * std::min(declared.max - declared.min, 1.0);
+        return std::max(std::abs(z(p)), z(least));
+    }
+};
+
+class Sandwich {
+public:
+    Sandwich(const Estimate& estimate, Refitter& refitter) : estimate_(estimate), refitter_(refitter) {
+        const Task& task = estimate.task;
+        values_ = refitter.values(estimate.point, true);
+        residuals_ = residuals(task.weighted, values_.f);
+        n_ = static_cast<Index>(values_.f.size());
+    }
+
+    Uncertainty uncertainty(std::span<const double> units) {
+        const kernels::Model& model = estimate_.task.model;
+        Uncertainty result;
+        result.parameters.resize(model.parameters.size());
+        for (std::size_t i = 0; i < model.parameters.size(); ++i) {
+            if (estimate_.bounds[i].fixed() || estimate_.at_bound[i]) continue;
+            const Coordinate coordinate = coordinate_of(i);
+            if (!sees(coordinate)) result.parameters[i].undetermined = true;
+            else coordinates_.push_back(coordinate);
+        }
+        if (estimate_.scale_free) coordinates_.push_back({std::nullopt, Own::logarithm, estimate_.point.scale});
+        result.too_few = estimate_.task.weighted.used <= coordinates_.size();
+        if (result.too_few) return result;
+        solve();
+        if (!cov_.allFinite()) {
+            for (const Coordinate& c : coordinates_)
+                if (c.parameter) result.parameters[*c.parameter].undetermined = true;
+            return result;
+        }
+        const double t = quantile();
+        for (Index i = 0; i < count(); ++i) {
+            const Coordinate& c = coordinates_[at(i)];
+            if (!c.parameter) continue;
+            ParameterUncertainty& p = result.parameters[*c.parameter];
+            const double error = std::sqrt(std::max(cov_(i, i), 0.0));
+            const double std_error = error * std::abs(c.slope(c.p));
+            p.undetermined = !determined_[at(i)] || !std::isfinite(std_error);
+            if (p.undetermined) continue;
+            p.std_error = std_error;
+            const Interval& bounds = estimate_.bounds[*c.parameter];
+            const double low = c.value(c.z(c.p) - t * error);
+            const double high = c.value(c.z(c.p) + t * error);
+            if (std::isfinite(low) && std::isfinite(high))
+                p.interval_95 = {std::clamp(low, bounds.min, c.p), std::clamp(high, c.p, bounds.max)};
+        }
+        for (std::size_t i = 0; i < model.parameters.size(); ++i)
+            if (estimate_.at_bound[i]) result.parameters[i].interval_95 = one_sided(coordinate_of(i), t);
+        correlations(result);
+        remarks(result, units);
+        return result;
+    }
+
+private:
+    [[nodiscard]] Index count() const { return static_cast<Index>(coordinates_.size()); }
+
+    [[nodiscard]] Coordinate coordinate_of(std::size_t i) const {
+        const kernels::Model& model = estimate_.task.model;
+        const kernels::Parameter& declared = model.parameters[i];
+        const double p = estimate_.point.parameters[i];
+        if (declared.scale == kernels::Scale::logarithmic && p > 0) return {i, Own::logarithm, p};
+        const bool even = std::any_of(model.charts.begin(), model.charts.end(), [&](const kernels::Chart& chart) {
+            return chart.kind == kernels::Chart::Kind::complex_index && chart.parameters.second == i;
+        });
+        return {i, even ? Own::square : Own::linear, p};
+    }
+
+    /// d scale f/d z at each sample.
+    [[nodiscard]] VectorXd column(const Coordinate& c) const {
+        if (!c.parameter) return Eigen::Map<const VectorXd>(values_.f.data(), n_);
+        const double* row = values_.by_parameter.data() + *c.parameter * at(n_);
+        if (c.own != Own::square || c.p > 0) return c.slope(c.p) * Eigen::Map<const VectorXd>(row, n_);
+        // Of an even function at 0: the slope by the square, from a little beside it.
+        Point beside = estimate_.point;
+        const double step = 1e-3;
+        beside.parameters[*c.parameter] = step;
+        const kernels::Values there = refitter_.values(beside, true);
+        return 0.5 / step * Eigen::Map<const VectorXd>(there.by_parameter.data() + *c.parameter * at(n_), n_);
+    }
+
+    /// Root of the weights, with the slope of the residual.
+    [[nodiscard]] VectorXd root_weights() const {
+        VectorXd root(n_);
+        for (Index j = 0; j < n_; ++j)
+            root(j) = std::sqrt(estimate_.task.weighted.weight[at(j)]) * residuals_.by_f[at(j)];
+        return root;
+    }
+
+    /// What the samples do not feel over the parameter's whole interval is rounding, not a slope.
+    [[nodiscard]] bool sees(const Coordinate& c) const {
+        const kernels::Parameter& declared = estimate_.task.model.parameters[*c.parameter];
+        const double reach = c.own == Own::logarithm ? c.p : std::max(declared.max - declared.min, std::abs(c.p));
+        const double* row = values_.by_parameter.data() + *c.parameter * at(n_);
+        const double effect = root_weights().cwiseProduct(Eigen::Map<const VectorXd>(row, n_)).norm();
+        const double size = std::max(estimate_.task.weighted.norm, std::sqrt(residuals_.loss2));
+        return effect * reach > kUnseen * size;
+    }
+
+    /// w r d r/d f at each sample: what is multiplied with df/dz in half the loss's gradient.
+    [[nodiscard]] static VectorXd pulls(const Weighted& weighted, const Residuals& residuals) {
+        VectorXd result(static_cast<Index>(residuals.r.size()));
+        for (std::size_t j = 0; j < residuals.r.size(); ++j)
+            result(static_cast<Index>(j)) = weighted.weight[j] * residuals.r[j] * residuals.by_f[j];
+        return result;
+    }
+
+    /// The standard deviation of each sample's pull: its difference by y, where that is known, else its own size.
+    [[nodiscard]] VectorXd spreads(const MatrixXd& rows, const MatrixXd& a_inverse) const {
+        const Task& task = estimate_.task;
+        if (estimate_.sigma.empty()) {
+            VectorXd result = pulls(task.weighted, residuals_);
+            for (Index j = 0; j < n_; ++j) {  // HC3: a sample that draws the fit near looks better than it is
+                const double leverage = rows.cols() == 0 ? 0.0 : rows.row(j).dot(a_inverse * rows.row(j).transpose());
+                result(j) /= std::max(1 - leverage, 0.05);
+            }
+            return result;
+        }
+        constexpr double kStep = 1e-3;  // of sigma
+        std::array<VectorXd, 2> ends;
+        for (const std::size_t side : {0U, 1U}) {
+            Channel channel = task.channel;
+            for (std::size_t j = 0; j < channel.samples.size(); ++j)
+                channel.samples[j].brdf += (side == 0 ? -kStep : kStep) * estimate_.sigma[j];
+            const Weighted weighted = weigh(channel, estimate_.loss);
+            ends[side] = pulls(weighted, residuals(weighted, values_.f));
+        }
+        return (ends[1] - ends[0]) / (2 * kStep);
+    }
+
+    void solve() {
+        const Index p = count();
+        MatrixXd slopes(n_, p);  // d scale f/d z
+        for (Index i = 0; i < p; ++i) slopes.col(i) = column(coordinates_[at(i)]);
+        const VectorXd root = root_weights();
+        MatrixXd rows = root.asDiagonal() * slopes;
+        unit_ = rows.colwise().norm().cwiseInverse();
+        rows *= unit_.asDiagonal();
+        cov_ = MatrixXd::Constant(p, p, NAN);
+        determined_.assign(at(p), true);
+        if (p == 0) {  // all are fixed or at bounds
+            slopes_ = slopes;
+            a_inverse_ = MatrixXd(0, 0);
+            spreads_ = spreads(rows, a_inverse_);
+            return;
+        }
+        if (!rows.allFinite()) return;
+        const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(rows.transpose() * rows);
+        std::vector<Index> kept;
+        for (Index e = 0; e < p; ++e) {
+            if (eigen.eigenvalues()(e) > kUndetermined) {
+                kept.push_back(e);
+                continue;
+            }
+            null_.push_back(eigen.eigenvectors().col(e));
+            for (Index i = 0; i < p; ++i)
+                if (std::abs(eigen.eigenvectors()(i, e)) > 1e-3) determined_[at(i)] = false;
+        }
+        const MatrixXd v = eigen.eigenvectors()(Eigen::all, kept);
+        const VectorXd lambda = eigen.eigenvalues()(kept);
+        const MatrixXd a_inverse = v * lambda.cwiseInverse().asDiagonal() * v.transpose();
+        spreads_ = spreads(rows, a_inverse);
+        const MatrixXd scaled = spreads_.asDiagonal() * slopes * unit_.asDiagonal() * v;
+        const MatrixXd b = scaled.transpose() * scaled;
+        // The curvature in units of Gauss and Newton's, so that it is 1 where there is no misfit.
+        const VectorXd white = lambda.cwiseSqrt().cwiseInverse();
+        const VectorXd errors = b.diagonal().cwiseSqrt().cwiseQuotient(lambda);
+        const MatrixXd directions = unit_.asDiagonal() * v;
+        const Eigen::SelfAdjointEigenSolver<MatrixXd> bend(MatrixXd::Identity(white.size(), white.size()) +
+                                                           misfit_curvature(directions, errors, white));
+        constexpr double kLeast = 0.05;  // less is a kink, or no minimum
+        const VectorXd inverse = bend.eigenvalues().cwiseMax(kLeast).cwiseInverse();
+        const MatrixXd h_inverse = white.asDiagonal() * bend.eigenvectors() * inverse.asDiagonal() *
+                                   bend.eigenvectors().transpose() * white.asDiagonal();
+        cov_ = directions * h_inverse * b * h_inverse * directions.transpose();
+        slopes_ = std::move(slopes);
+        a_inverse_ = unit_.asDiagonal() * a_inverse * unit_.asDiagonal();
+    }
+
+    /// From 0 to 1: whether residuals are larger than noise makes them, by 2 standard deviations of their weighted sum
+    /// of squares or less, or by 3 or more. Residuals that are noise bend the loss at random: that says nothing.
+    [[nodiscard]] double misfit() const {
+        if (estimate_.sigma.empty()) return 1;
+        double noise = 0;
+        double squares = 0;
+        for (Index j = 0; j < n_; ++j) {
+            const double weight =
+                estimate_.task.weighted.weight[at(j)] * std::pow(residuals_.by_f[at(j)], 2);  // of the model's square
+            if (!(weight > 0)) continue;
+            const double expected = spreads_(j) * spreads_(j) / weight;
+            noise += expected;
+            squares += 2 * expected * expected;
+        }
+        const double size = noise * std::sqrt(2 / estimate_.degrees);  // what is not known of sigma^2
+        return std::clamp((residuals_.loss2 - noise) / std::hypot(std::sqrt(squares), size) - 2, 0.0, 1.0);
+    }
+
+    /// What misfit adds to half the loss's curvature, in units of Gauss and Newton's: from gradients at either side of
+    /// the point along each direction.
+    MatrixXd misfit_curvature(const MatrixXd& directions, const VectorXd& errors, const VectorXd& white) {
+        const Index m = directions.cols();
+        const double share = misfit();
+        if (share == 0) return MatrixXd::Zero(m, m);
+        const MatrixXd to = directions * white.asDiagonal();
+        MatrixXd h(m, m);
+        for (Index e = 0; e < m; ++e) {
+            const double step = length(directions.col(e), errors(e));
+            std::array<VectorXd, 2> gradients;
+            for (const std::size_t side : {0U, 1U}) {
+                MatrixXd by_z;
+                const kernels::Values there = stepped((side == 0 ? -step : step) * directions.col(e), by_z);
+                const Weighted& weighted = estimate_.task.weighted;
+                gradients[side] = to.transpose() * (by_z.transpose() * pulls(weighted, residuals(weighted, there.f)));
+            }
+            const double per = white(e) / (2 * step);
+            h.col(e) = per * (gradients[1] - gradients[0]);
+        }
+        const MatrixXd bend = (h + h.transpose()) / 2 - MatrixXd::Identity(m, m);
+        return bend.allFinite() ? MatrixXd(share * bend) : MatrixXd::Zero(m, m);
+    }
+
+    /// Of a step along a direction: half a standard error, but neither rounding nor another place.
+    [[nodiscard]] double length(const VectorXd& direction, double error) const {
+        constexpr double kShort = 1e-5;
+        constexpr double kLong = 0.03;
+        double share = 0;  // of a large step
+        for (Index i = 0; i < count(); ++i)
+            share = std::max(share, std::abs(direction(i)) / coordinates_[at(i)].size(estimate_.task.model));
+        double length = std::clamp(0.5 * error, kShort / share, kLong / share);
+        for (Index i = 0; i < count(); ++i) {
+            const Coordinate& c = coordinates_[at(i)];
+            if (!c.parameter || c.own == Own::logarithm || direction(i) == 0) continue;
+            const kernels::Parameter& declared = estimate_.task.model.parameters[*c.parameter];
+            for (const double end : {declared.domain_min, declared.domain_max})
+                if (std::isfinite(end))
+                    length = std::min(length, 0.9 * std::abs(c.z(c.p) - c.z(end)) / std::abs(direction(i)));
+        }
+        return length;
+    }
+
+    /// The unknowns a step away, none beyond its bounds, and the model there with its slopes by z.
+    kernels::Values stepped(const VectorXd& step, MatrixXd& by_z) const {
+        Point point = estimate_.point;
+        std::vector<double> unknowns;
+        for (Index i = 0; i < count(); ++i) {
+            const Coordinate& c = coordinates_[at(i)];
+            double value = c.value(c.z(c.p) + step(i));
+            if (c.parameter) {
+                const Interval& bounds = estimate_.bounds[*c.parameter];
+                value = std::clamp(value, bounds.min, bounds.max);
+            }
+            unknowns.push_back(value);
+            (c.parameter ? point.parameters[*c.parameter] : point.scale) = value;
+        }
+        kernels::Values there = refitter_.values(point, true);
+        by_z.resize(n_, count());
+        for (Index i = 0; i < count(); ++i) {
+            const Coordinate& c = coordinates_[at(i)];
+            const double* row = c.parameter ? there.by_parameter.data() + *c.parameter * at(n_) : there.f.data();
+            const double slope = !c.parameter                                   ? 1.0
+                                 : unknowns[at(i)] == 0 && c.own == Own::square ? 0.0
+                                                                                : c.slope(unknowns[at(i)]);
+            by_z.col(i) = slope * Eigen::Map<const VectorXd>(row, n_);
+        }
+        return there;
+    }
+
+    [[nodiscard]] double quantile() const {
+        const double degrees = estimate_.sigma.empty() ? static_cast<double>(estimate_.task.weighted.used) -
+                                                             static_cast<double>(coordinates_.size())
+                                                       : estimate_.degrees;
+        const double upper = (1 + kConfidence) / 2;
+        if (!std::isfinite(degrees)) return boost::math::quantile(boost::math::normal(), upper);
+        return boost::math::quantile(boost::math::students_t(std::max(degrees, 1.0)), upper);
+    }
+
+    /// Of a parameter at a bound: from there to the upper end of its interval if it were free.
+    [[nodiscard]] std::optional<std::array<double, 2>> one_sided(const Coordinate& c, double t) const {
+        const Interval& bounds = estimate_.bounds[*c.parameter];
+        const VectorXd own = column(c);
+        const VectorXd root2 = root_weights().cwiseAbs2();
+        VectorXd rest = own;  // less what the others can make up for
+        if (count() > 0) rest -= slopes_ * (a_inverse_ * (slopes_.transpose() * root2.cwiseProduct(own)));
+        const double curvature = root2.dot(own.cwiseProduct(rest));
+        if (!(curvature > kUndetermined * root2.dot(own.cwiseAbs2()))) return std::nullopt;
+        const double centre = c.z(c.p) - pulls(estimate_.task.weighted, residuals_).dot(rest) / curvature;
+        const double error = spreads_.cwiseProduct(rest).norm() / curvature;
+        const bool lower = std::abs(c.p - bounds.min) < std::abs(c.p - bounds.max);
+        const double end = c.value(centre + (lower ? t : -t) * error);
+        if (!std::isfinite(end)) return std::nullopt;
+        if (lower) return std::array{bounds.min, std::clamp(end, c.p, std::max(c.p, bounds.max))};
+        return std::array{std::clamp(end, std::min(c.p, bounds.min), c.p), bounds.max};
+    }
+
+    void correlations(Uncertainty& result) const {
+        std::vector<Index> told;
+        for (Index i = 0; i < count(); ++i) {
+            const Coordinate& c = coordinates_[at(i)];
+            if (c.parameter && !result.parameters[*c.parameter].undetermined && cov_(i, i) > 0) told.push_back(i);
+        }
+        for (const Index i : told) {
+            result.correlations.names.push_back(name(i));
+            for (const Index j : told)
+                result.correlations.matrix.push_back(
+                    i == j ? 1.0 : std::clamp(cov_(i, j) / std::sqrt(cov_(i, i) * cov_(j, j)), -1.0, 1.0));
+        }
+    }
+
+    [[nodiscard]] const std::string& name(Index i) const {
+        return estimate_.task.model.parameters[*coordinates_[at(i)].parameter].name;
+    }
+    [[nodiscard]] std::string term(Index i) const {
+        const Own own = coordinates_[at(i)].own;
+        return own == Own::logarithm ? "ln " + name(i) : own == Own::square ? name(i) + "^2" : name(i);
+    }
+
+    /// Parameters that are open by as much as their own size while a combination of them is well known.
+    void remarks(Uncertainty& result, std::span<const double> units) const {
+        VectorXd sizes(count());
+        for (Index i = 0; i < count(); ++i) sizes(i) = coordinates_[at(i)].size(estimate_.task.model);
+        const auto together = [&](const VectorXd& direction, bool known) {
+            std::vector<Index> large;
+            const VectorXd shares = direction.cwiseQuotient(sizes);
+            const double most = shares.cwiseAbs().maxCoeff();
+            for (Index i = 0; i < count(); ++i)
+                if (coordinates_[at(i)].parameter && std::abs(shares(i)) > 0.2 * most) large.push_back(i);
+            if (large.size() < 2) return;
+            std::string names, ranges;
+            for (const Index i : large) {
+                const bool last = i == large.back();
+                names += (names.empty() ? "" : last ? " and " : ", ") + name(i);
+                const auto& interval = result.parameters[*coordinates_[at(i)].parameter].interval_95;
+                if (!known || !interval) continue;
+                const double unit = units[*coordinates_[at(i)].parameter];
+                ranges += fmt::format("{}{} in [{:.4g}, {:.4g}]", ranges.empty() ? "; " : ", ", name(i),
+                                      (*interval)[0] / unit, (*interval)[1] / unit);
+            }
+            std::string what = "only together";
+            if (large.size() == 2) {
+                const double factor = -direction(large[0]) / direction(large[1]);
+                what += fmt::format(", as {} {} {:.3g} {}: what keeps this sum fits as well", term(large[0]),
+                                    factor < 0 ? "-" : "+", std::abs(factor), term(large[1]));
+            } else {
+                what += ": along one direction all of them may change and the fit hardly does";
+            }
+            result.remarks.push_back("the data determine " + names + " " + what + ranges);
+        };
+        if (count() == 0) return;
+        for (const VectorXd& direction : null_) together(unit_.cwiseProduct(direction), false);
+        const VectorXd inverse = sizes.cwiseInverse();
+        const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(inverse.asDiagonal() * cov_ * inverse.asDiagonal());
+        constexpr double kOpen = 0.25;   // standard error, of a parameter's size
+        constexpr double kNarrow = 0.8;  // correlation
+        for (Index e = count(); e-- > 0 && std::sqrt(std::max(eigen.eigenvalues()(e), 0.0)) > kOpen;) {
+            const VectorXd direction = eigen.eigenvectors().col(e);
+            Index first = 0;
+            direction.cwiseAbs().maxCoeff(&first);
+            bool narrow = false;
+            for (Index i = 0; i < count(); ++i)
+                narrow = narrow || (i != first && std::abs(direction(i)) > 0.2 * std::abs(direction(first)) &&
+                                    std::abs(cov_(i, first)) > kNarrow * std::sqrt(cov_(i, i) * cov_(first, first)));
+            if (narrow) together(sizes.cwiseProduct(direction), true);
+        }
+    }
+
+    const Estimate& estimate_;
+    Refitter& refitter_;
+    kernels::Values values_;
+    Residuals residuals_;
+    Index n_ = 0;
+    std::vector<Coordinate> coordinates_;
+    std::vector<bool> determined_;
+    std::vector<VectorXd> null_;
+    VectorXd unit_, spreads_;
+    MatrixXd slopes_, a_inverse_, cov_;
+};
+
+/// Bias-corrected percentiles of a sorted sample about the estimate (Efron 1981).
+std::array<double, 2> percentiles(const std::vector<double>& sorted, double estimate) {
+    const boost::math::normal normal;
+    const auto n = static_cast<double>(sorted.size());
+    const auto below = std::lower_bound(sorted.begin(), sorted.end(), estimate) - sorted.begin();
+    const auto upto = std::upper_bound(sorted.begin(), sorted.end(), estimate) - sorted.begin();
+    const double share = std::clamp(static_cast<double>(below + upto) / (2 * n), 0.5 / n, 1 - 0.5 / n);
+    const double bias = 2 * boost::math::quantile(normal, share);
+    const double reach = boost::math::quantile(normal, (1 + kConfidence) / 2);
+    const auto at_share = [&](double z) {
+        const double place = boost::math::cdf(normal, z) * (n - 1);
+        const auto index = std::min(static_cast<std::size_t>(place), sorted.size() - 2);
+        const double part = place - static_cast<double>(index);
+        return (1 - part) * sorted[index] + part * sorted[index + 1];
+    };
+    return {std::min(at_share(bias - reach), estimate), std::max(at_share(bias + reach), estimate)};
+}
+
+}  // namespace
+
+Uncertainty uncertainty_of(const Estimate& estimate, Refitter& refitter, std::span<const double> units) {
+    return Sandwich(estimate, refitter).uncertainty(units);
+}
+
+std::vector<std::array<double, 2>> bootstrap_intervals(const Estimate& estimate, Refitter& refitter,
+                                                       std::size_t replicates) {
+    constexpr double kEnough = 1e-9;  // of loss^2: far below what noise does
+    const Task& task = estimate.task;
+    std::vector<std::vector<double>> found(estimate.point.parameters.size());
+    std::mt19937_64 random(task.control.seed);
+    std::normal_distribution<double> normal;
+    Channel channel = task.channel;
+    for (std::size_t k = 0; k < replicates && !task.control.over(); ++k) {
+        for (std::size_t j = 0; j < channel.samples.size(); ++j)
+            channel.samples[j].brdf = task.channel.samples[j].brdf + estimate.sigma[j] * normal(random);
+        const auto ends = refitter.descend(weigh(channel, estimate.loss), {&estimate.point, 1}, kEnough);
+        for (std::size_t i = 0; i < found.size(); ++i) found[i].push_back(ends.front().parameters[i]);
+    }
+    std::vector<std::array<double, 2>> result;
+    if (found.empty() || found.front().size() < replicates) return result;
+    for (std::size_t i = 0; i < found.size(); ++i) {
+        std::sort(found[i].begin(), found[i].end());
+        result.push_back(percentiles(found[i], estimate.point.parameters[i]));
+    }
+    return result;
+}
+
+}  // namespace brdfit::optim
