@@ -13,6 +13,9 @@
 namespace brdfit::optim {
 namespace {
 
+/// An error must be lower by such a part to be lower at all: less is the search's rounding.
+constexpr double kLower = 1e-3;
+
 std::size_t free_parameters(const Fit& fit) {
     return static_cast<std::size_t>(
         std::count_if(fit.parameters.begin(), fit.parameters.end(), [](const FittedParameter& p) { return !p.fixed; }));
@@ -71,7 +74,8 @@ Channel seen_by(const Scene& scene, Channel channel) {
 
 void judge_scene(const Scene& scene, ChannelReport& report) {
     for (const ParetoPoint& point : by_cost(report.fits))
-        if (report.pareto.empty() || point.log10_rmse < report.pareto.back().log10_rmse) report.pareto.push_back(point);
+        if (report.pareto.empty() || point.log10_rmse < report.pareto.back().log10_rmse * (1 - kLower))
+            report.pareto.push_back(point);
     const auto good_enough = [&](const ParetoPoint& point) { return point.log10_rmse <= scene.tolerance_log10; };
     const auto cheapest = std::find_if(report.pareto.begin(), report.pareto.end(), good_enough);
     Recommendation& recommended = report.recommended.emplace();

@@ -133,5 +133,9 @@ TEST(ParetoFront, HoldsWhatNoCheaperOneEquals) {
     EXPECT_THAT(front(report), testing::ElementsAre("d", "b", "a"));
 }
 
+TEST(ParetoFront, TakesErrorsThatHardlyDifferForEqual) {
+    EXPECT_THAT(front(judged(tolerating(0.05), {fit("a", 9, 0.19999), fit("b", 5, 0.2)})), testing::ElementsAre("b"));
+}
+
 }  // namespace
 }  // namespace brdfit
