@@ -43,15 +43,48 @@ Request request_of(const httplib::Request& from) {
     request.method = from.method;
     request.path = from.path;
     request.query = {from.params.begin(), from.params.end()};
+    for (const auto& [name, value] : from.headers) {
+        if (name == "REMOTE_ADDR" || name == "REMOTE_PORT" || name == "LOCAL_ADDR" || name == "LOCAL_PORT")
+            continue;  // the library's own
+        std::string& joined = request.headers[name];
+        joined += (joined.empty() ? "" : ", ") + value;
+    }
     request.content_type = from.get_header_value("Content-Type");
+    request.address = from.remote_addr;
     request.id = from.get_header_value("X-Request-Id");
     if (!is_request_id(request.id)) request.id = make_job_id();
     return request;
 }
 
-void answer(const Request& request, const Response& response, httplib::Response& to) {
+/// A streamed answer over the library's.
+class SinkStream final : public Stream {
+public:
+    SinkStream(httplib::DataSink& sink, const std::atomic<bool>& stopping) : sink_(sink), stopping_(stopping) {}
+    bool write(std::string_view bytes) override { return !stopping_ && sink_.write(bytes.data(), bytes.size()); }
+    [[nodiscard]] bool open() const override { return !stopping_ && sink_.is_writable(); }
+    [[nodiscard]] bool stopping() const override { return stopping_; }
+
+private:
+    httplib::DataSink& sink_;
+    const std::atomic<bool>& stopping_;
+};
+
+void answer(const Request& request, const Response& response, const std::atomic<bool>& stopping,
+            httplib::Response& to) {
     to.status = response.status;
-    to.set_content(response.body, response.content_type);
+    if (response.stream) {
+        // The library asks for bytes until it is told that there are no more; ours are written within one asking.
+        to.set_header("Connection", "close");  // the end of the connection is that of the body
+        to.set_content_provider(response.content_type,
+                                [stream = response.stream, &stopping](std::size_t, httplib::DataSink& sink) {
+                                    SinkStream out(sink, stopping);
+                                    stream(out);
+                                    sink.done();
+                                    return true;
+                                });
+    } else {
+        to.set_content(response.body, response.content_type);
+    }
     to.set_header("X-Request-Id", request.id);
     to.set_header("X-Content-Type-Options", "nosniff");
     for (const auto& [name, value] : response.headers) to.set_header(name, value);
@@ -227,17 +260,18 @@ struct HttpServer::Impl {
         server.Put(".*", with_body);
         server.Patch(".*", with_body);
         // What the library refuses itself (a bad request line, a URI too long) has no body yet.
-        server.set_error_handler([](const httplib::Request& from, httplib::Response& to) {
+        server.set_error_handler([this](const httplib::Request& from, httplib::Response& to) {
             if (!to.body.empty()) return;
             const Request request = request_of(from);
             const int status = to.status;
-            answer(request, problem_response({status, "http", "the request cannot be served", {}}, request), to);
+            answer(request, problem_response({status, "http", "the request cannot be served", {}}, request), stopping,
+                   to);
         });
     }
 
     void respond(const Request& request, const Response& response, httplib::Response& to) const {
         spdlog::info("{} {} {} request {}", request.method, printable(request.path), response.status, request.id);
-        answer(request, response, to);
+        answer(request, response, stopping, to);
     }
 
     const Routes& routes;

@@ -3,9 +3,11 @@
 #include <algorithm>
 #include <array>
 #include <charconv>
+#include <locale>
 #include <vector>
 
 #include <spdlog/spdlog.h>
+#include <boost/algorithm/string/predicate.hpp>
 #include <boost/algorithm/string/split.hpp>
 
 #include "api/evaluate.h"
@@ -64,6 +66,15 @@ api::PlotOptions plot_options(const api::Query& query) {
 
 }  // namespace
 
+bool HeaderOrder::operator()(std::string_view a, std::string_view b) const {
+    return boost::algorithm::ilexicographical_compare(a, b, std::locale::classic());
+}
+
+std::string_view Request::header(std::string_view name) const {
+    const auto found = headers.find(name);
+    return found == headers.end() ? std::string_view() : found->second;
+}
+
 std::string accepted_types(const std::string& path) {
     if (path == "/v1/fits") return std::string(kJson) + ", " + std::string(kCsv);
     return path == "/v1/evaluate" ? std::string(kJson) : "";
@@ -76,8 +87,15 @@ Response problem_response(const Problem& problem, const Request& request) {
 }
 
 Response Routes::handle(const Request& request) const {
+    std::string route;
+    Response response = answer(request, route);
+    response.route = std::move(route);
+    return response;
+}
+
+Response Routes::answer(const Request& request, std::string& route) const {
     try {
-        return dispatch(request);
+        return dispatch(request, route);
     } catch (const Refusal& refusal) {
         Response response = problem_response(refusal.problem(), request);
         if (refusal.problem().status == 405)
@@ -89,7 +107,7 @@ Response Routes::handle(const Request& request) const {
     }
 }
 
-Response Routes::dispatch(const Request& request) const {
+Response Routes::dispatch(const Request& request, std::string& route) const {
     const std::vector<std::string> parts =
         split(request.path.substr(std::min<std::size_t>(1, request.path.size())), '/');
     const bool reading = request.method == "GET" || request.method == "HEAD";
@@ -97,8 +115,12 @@ Response Routes::dispatch(const Request& request) const {
         if (!allowed) throw Refusal({405, "method-not-allowed", request.method + " is not for this resource", {}});
     };
     const auto is = [&](std::initializer_list<std::string_view> path) {
-        return std::equal(parts.begin(), parts.end(), path.begin(), path.end(),
-                          [](const std::string& part, std::string_view name) { return name == "*" || part == name; });
+        const bool matched =
+            std::equal(parts.begin(), parts.end(), path.begin(), path.end(),
+                       [](const std::string& part, std::string_view name) { return name == "*" || part == name; });
+        if (matched)
+            for (const std::string_view part : path) route.append("/").append(part);
+        return matched;
     };
     if (is({"v1", "fits"})) {
         only(request.method == "POST");
