@@ -1,13 +1,12 @@
 #include "api/request.h"
 
-#include <charconv>
+#include <cmath>
 #include <set>
-
-#include <boost/algorithm/string/split.hpp>
 
 #include "api/csv.h"
 #include "api/field.h"
 #include "api/json.h"
+#include "api/query.h"
 #include "api/samples.h"
 
 namespace brdfit::api {
@@ -22,7 +21,6 @@ using optim::ModelRequest;
 using optim::Sample;
 
 constexpr double kLargestSeed = 9007199254740991;  // 2^53 - 1: exact in every JSON parser
-constexpr double kLongestTime_s = 3600;
 constexpr std::size_t kMostModels = 50;
 
 // ---- options ----
@@ -35,26 +33,32 @@ void read_seed(const json& value, const Place& place, FitOptions& out) {
     else out.seed = static_cast<std::uint64_t>(*number);
 }
 
-void read_time_limit(const json& value, const Place& place, FitOptions& out) {
-    const auto number = read_number(value, place);
-    if (!number) return;
-    if (!(*number > 0 && *number <= kLongestTime_s)) place.fail("out_of_range", "must lie in (0, 3600]");
-    else out.time_limit = std::chrono::duration<double>(*number);
-}
+constexpr Range bad_time_limit{0, true, 3600, false, "must lie in (0, 3600]"};
+
+const FitOptions kDefaults;
 
 const std::vector<Field<FitOptions>> kOptionFields{
     {"loss", false, "what is minimised",
+     schema::with_default(schema::choice(kLosses), name_of(kLosses, kDefaults.loss)),
      [](const json& v, const Place& p, FitOptions& out) {
          if (const auto loss = read_choice(v, p, kLosses)) out.loss = *loss;
      }},
     {"effort", false, "how much the search may spend",
+     schema::with_default(schema::choice(kEfforts), name_of(kEfforts, kDefaults.effort)),
      [](const json& v, const Place& p, FitOptions& out) {
          if (const auto effort = read_choice(v, p, kEfforts)) out.effort = *effort;
      }},
-    {"precision", false, "arithmetic of the search; auto: the best the device has",
+    {"precision", false, "arithmetic of the search; what is reported is computed in double where that may be used",
+     precision_schema(),
      [](const json& v, const Place& p, FitOptions& out) { out.precision = read_precision(v, p); }},
-    {"seed", false, "of the starts; the same seed gives the same result", read_seed},
-    {"time_limit_s", false, "of the whole request, in seconds", read_time_limit},
+    {"seed", false, "of the starts; the same seed gives the same result",
+     schema::with_default(schema::whole(0, kLargestSeed), kDefaults.seed), read_seed},
+    {"time_limit_s", false, "of the whole request, in seconds",
+     schema::with_default(schema::number(bad_time_limit), kDefaults.time_limit.count()),
+     [](const json& v, const Place& p, FitOptions& out) {
+         if (const auto seconds = read_checked(v, p, bad_time_limit))
+             out.time_limit = std::chrono::duration<double>(*seconds);
+     }},
 };
 
 // ---- models ----
@@ -68,12 +72,14 @@ struct RawModel {
 };
 
 const std::vector<Field<RawModel>> kModelFields{
-    {"name", true, "the model's name",
+    {"name", true, "the model's name", schema::ref("ModelName"),
      [](const json& v, const Place& p, RawModel& out) { out.name = read_text(v, p).value_or(""); }},
-    {"lobes", false, "number of lobes, or \"auto\"",
+    {"lobes", false, "number of lobes, of a model that has them; \"auto\": as few as the data support",
+     schema::with_default(schema::any_of({schema::constant("auto"), {{"type", "integer"}, {"minimum", 1}}}), "auto"),
      [](const json& v, const Place&, RawModel& out) { out.lobes = &v; }},
-    {"fixed", false, "parameters held at a value", [](const json& v, const Place&, RawModel& out) { out.fixed = &v; }},
-    {"bounds", false, "parameters kept within [low, high]",
+    {"fixed", false, "parameters held at a value", schema::ref("ParameterValues"),
+     [](const json& v, const Place&, RawModel& out) { out.fixed = &v; }},
+    {"bounds", false, "parameters kept within [low, high]", schema::map_of(schema::array(schema::number(), 2, 2)),
      [](const json& v, const Place&, RawModel& out) { out.bounds = &v; }},
 };
 
@@ -148,20 +154,22 @@ struct Columns {
 };
 
 Field<Columns> column_field(std::string_view key, bool required, std::string_view doc,
-                            std::vector<double> Columns::*column, Check bad) {
-    return {key, required, doc,
+                            std::vector<double> Columns::*column, const Range& bad) {
+    return {key, required, doc, schema::array(schema::number(bad), 1, kMostSamples),
             [=](const json& v, const Place& p, Columns& out) { out.*column = read_column(v, p, bad); }};
 }
 
 Field<Columns> sigma_field() {
-    return {"sigma", false, "standard deviation of brdf, same unit", [](const json& v, const Place& p, Columns& out) {
+    return {"sigma", false, "standard deviation of brdf, same unit",
+            schema::array(schema::number(bad_sigma), 1, kMostSamples),
+            [](const json& v, const Place& p, Columns& out) {
                 out.sigma = read_column(v, p, bad_sigma);
                 out.has_sigma = true;
             }};
 }
 
 const std::vector<Field<Columns>> kScanFields{
-    {"theta_i_deg", true, "incidence angle",
+    {"theta_i_deg", true, "incidence angle", schema::number(bad_theta_i),
      [](const json& v, const Place& p, Columns& out) { out.scan_theta_i = read_checked(v, p, bad_theta_i); }},
     column_field("theta_r_deg", true, "exitant angles, signed: positive = specular side", &Columns::theta_r,
                  bad_theta_r),
@@ -171,12 +179,12 @@ const std::vector<Field<Columns>> kScanFields{
 
 const std::vector<Field<Columns>> kSamplesFields{
     column_field("theta_i_deg", true, "incidence angles", &Columns::theta_i, bad_theta_i),
-    {"phi_i_deg", false, "azimuths of incidence; 0 if absent",
+    {"phi_i_deg", false, "azimuths of incidence; 0 if absent", schema::array(schema::number(bad_phi), 1, kMostSamples),
      [](const json& v, const Place& p, Columns& out) {
          out.phi_i = read_column(v, p, bad_phi);
          out.has_phi_i = true;
      }},
-    column_field("theta_r_deg", true, "exitant angles", &Columns::theta_r, bad_theta_r),
+    column_field("theta_r_deg", true, "exitant angles; if one is negative, signs count and must agree with phi", &Columns::theta_r, bad_theta_r),
     column_field("phi_r_deg", true, "exitant azimuths: phi_r - phi_i = 180 is the specular side", &Columns::phi_r,
                  bad_phi),
     column_field("brdf", true, "BRDF values", &Columns::brdf, bad_brdf),
@@ -232,16 +240,18 @@ void append_samples(const json& value, const Place& place, Channel& out) {
 }
 
 const std::vector<Field<Channel>> kChannelFields{
-    {"name", false, "name; the wavelength or the position if absent",
+    {"name", false, "name; the wavelength or the position if absent", schema::name(),
      [](const json& v, const Place& p, Channel& out) { out.name = read_text(v, p).value_or(""); }},
-    {"wavelength_nm", false, "wavelength",
+    {"wavelength_nm", false, "wavelength", schema::number(bad_wavelength),
      [](const json& v, const Place& p, Channel& out) { out.wavelength_nm = read_checked(v, p, bad_wavelength); }},
-    {"scans", false, "scans in the plane of incidence",
+    {"scans", false, "scans in the plane of incidence; a channel has these or samples, or both",
+     schema::array(schema_of(kScanFields)),
      [](const json& v, const Place& p, Channel& out) {
          if (!v.is_array()) return p.fail("wrong_type", "must be an array");
          for (std::size_t i = 0; i < v.size(); ++i) append_scan(v[i], p.at(i), out);
      }},
-    {"samples", false, "samples in any direction, as columns", append_samples},
+    {"samples", false, "samples in any direction, as columns of equal length", schema_of(kSamplesFields),
+     append_samples},
 };
 
 void read_channels(const json& value, const Place& place, Dataset& out) {
@@ -271,13 +281,14 @@ void read_channels(const json& value, const Place& place, Dataset& out) {
 }
 
 const std::vector<Field<Dataset>> kDatasetFields{
-    {"name", false, "of the surface",
+    {"name", false, "of the surface", schema::name(),
      [](const json& v, const Place& p, Dataset& out) { out.name = read_text(v, p).value_or(""); }},
-    {"unit", false, "of all BRDF values",
+    {"unit", false, "of all BRDF values", schema::with_default(schema::choice(kUnits), name_of(kUnits, Dataset{}.unit)),
      [](const json& v, const Place& p, Dataset& out) {
          if (const auto unit = read_choice(v, p, kUnits)) out.unit = *unit;
      }},
-    {"channels", true, "wavelengths or colours", read_channels},
+    {"channels", true, "wavelengths or colours", schema::array(schema_of(kChannelFields), 1, kMostChannels),
+     read_channels},
 };
 
 // ---- the whole ----
@@ -324,10 +335,14 @@ struct RawRequest {
 };
 
 const std::vector<Field<RawRequest>> kRequestFields{
-    {"dataset", true, "the measurements", [](const json& v, const Place&, RawRequest& out) { out.dataset = &v; }},
-    {"models", false, "models to fit; all if absent",
+    {"dataset", true, "the measurements, or the id of a stored dataset",
+     schema::any_of({schema::ref("Dataset"), schema::ref("DatasetId")}),
+     [](const json& v, const Place&, RawRequest& out) { out.dataset = &v; }},
+    {"models", false, "models to fit, by name or with settings; all if absent",
+     schema::array(schema::any_of({schema::ref("ModelName"), schema_of(kModelFields)}), 1, kMostModels),
      [](const json& v, const Place&, RawRequest& out) { out.models = &v; }},
-    {"options", false, "options of the fit", [](const json& v, const Place&, RawRequest& out) { out.options = &v; }},
+    {"options", false, "options of the fit", schema_of(kOptionFields),
+     [](const json& v, const Place&, RawRequest& out) { out.options = &v; }},
 };
 
 /// Models and options into the request, then the checks over everything.
@@ -343,61 +358,182 @@ void finish(const RawRequest& raw, const kernels::Catalogue& catalogue, FitReque
     refuse_if_any(std::move(errors));
 }
 
-/// A query parameter's text as JSON: a number where it is one.
-json query_value(const std::string& text) {
-    double number = 0;
-    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
-    if (error == std::errc{} && end == text.data() + text.size() && std::isfinite(number)) return number;
-    return text;
-}
-
-}  // namespace
-
-FitRequest read_fit_request(std::string_view body, const kernels::Catalogue& catalogue) {
-    const json document = parse_json(body);
+/// A request of JSON that has been parsed.
+FitRequest read_document(const json& document, const kernels::Catalogue& catalogue, const DatasetSource& datasets) {
     std::vector<FieldError> errors;
     const Place root(errors, "");
     RawRequest raw;
     read_object<RawRequest>(document, root, kRequestFields, raw);
     FitRequest request;
-    if (raw.dataset != nullptr && raw.dataset->is_string())
-        root.at("dataset").fail("unknown_dataset", "there is no stored dataset of that id");
-    else if (raw.dataset != nullptr)
+    if (raw.dataset != nullptr && raw.dataset->is_string()) {
+        const Place place = root.at("dataset");
+        const auto body = datasets ? datasets(raw.dataset->get<std::string>()) : std::nullopt;
+        if (body) read_object<Dataset>(parse_json(*body), place, kDatasetFields, request.dataset);
+        else place.fail("unknown_dataset", "there is no stored dataset of that id");
+    } else if (raw.dataset != nullptr) {
         read_object<Dataset>(*raw.dataset, root.at("dataset"), kDatasetFields, request.dataset);
+    }
     finish(raw, catalogue, request, errors);
     return request;
 }
 
-FitRequest read_fit_request_csv(std::string_view body, const Query& query, const kernels::Catalogue& catalogue) {
-    FitRequest request;
-    std::vector<FieldError> errors;
-    const Place root(errors, "");
+// ---- what stands in the query beside a body of CSV ----
+
+struct CsvQuery {
     json models;
-    json options = json::object();
-    json dataset = json::object();
-    for (const auto& [key, value] : query) {
-        const auto is_key = [&key = key](const auto& field) { return field.key == key; };
-        if (query.count(key) > 1) root.at(key).fail("duplicate_key", "the query parameter stands twice");
-        else if (key == "models") {
-            std::vector<std::string> names;
-            boost::algorithm::split(names, value, [](char c) { return c == ','; });
-            models = names;
-        } else if (key == "unit" || key == "name") dataset[key] = value;
-        else if (std::any_of(kOptionFields.begin(), kOptionFields.end(), is_key)) options[key] = query_value(value);
-        else {
-            std::string names = "models, unit, name";
-            for (const auto& field : kOptionFields) names += ", " + std::string(field.key);
-            root.at(key).fail("unknown_key", "unknown query parameter; valid are: " + names);
-        }
-    }
-    request.dataset = read_csv(body);
-    for (const auto& field : kDatasetFields)
-        if (dataset.contains(field.key)) field.read(dataset[field.key], root.at(field.key), request.dataset);
+    Dataset dataset;
+    FitOptions options;
+};
+
+bool is_simple(const schema::Json& schema) {
+    const std::string type = schema.value("type", "");
+    return type != "object" && (type != "array" || is_simple(schema["items"])) && !schema.contains("anyOf");
+}
+
+/// Fields of a part, as fields of the query: those that a query can hold. Errors tell where they stand in JSON.
+template <class Part>
+void append_simple(std::vector<Field<CsvQuery>>& fields, const std::vector<Field<Part>>& parts, Part CsvQuery::*part,
+                   const std::string& within = "") {
+    for (const Field<Part>& field : parts)
+        if (is_simple(field.schema))
+            fields.push_back({field.key, false, field.doc, field.schema,
+                              [read = field.read, part, within](const json& v, const Place& p, CsvQuery& out) {
+                                  read(v, p.within(within), out.*part);
+                              }});
+}
+
+const std::vector<Field<CsvQuery>> kDatasetQueryFields = [] {
+    std::vector<Field<CsvQuery>> fields;
+    append_simple(fields, kDatasetFields, &CsvQuery::dataset);
+    return fields;
+}();
+
+const std::vector<Field<CsvQuery>> kFitQueryFields = [] {
+    std::vector<Field<CsvQuery>> fields{
+        {"models", false, "names of models to fit; all if absent",
+         schema::array(schema::ref("ModelName"), 1, kMostModels),
+         [](const json& v, const Place&, CsvQuery& out) { out.models = v; }}};
+    append_simple(fields, kDatasetFields, &CsvQuery::dataset);
+    append_simple(fields, kOptionFields, &CsvQuery::options, "/options");
+    return fields;
+}();
+
+/// Names and unit from the query onto what the file holds.
+Dataset with_query(Dataset dataset, CsvQuery query) {
+    dataset.name = std::move(query.dataset.name);
+    dataset.unit = query.dataset.unit;
+    return dataset;
+}
+
+// ---- datasets as they are kept ----
+
+/// phi_r of a canonical direction where phi_i is 0 and theta_r has no sign.
+double azimuth_on_wire(const kernels::Direction& direction) {
+    return 180 + (direction.theta_r_deg < 0 ? 180 - direction.phi_deg : direction.phi_deg);
+}
+
+/// A sample in the plane of incidence, into the scan before it where it continues that one.
+void append_scan_sample(json& scans, const Sample& sample) {
+    const bool continues = !scans.empty() && scans.back()["theta_i_deg"] == sample.direction.theta_i_deg &&
+                           scans.back().contains("sigma") == sample.sigma.has_value();
+    if (!continues) scans.push_back({{"theta_i_deg", sample.direction.theta_i_deg}});
+    json& scan = scans.back();
+    scan["theta_r_deg"].push_back(sample.direction.theta_r_deg);
+    scan["brdf"].push_back(sample.brdf);
+    if (sample.sigma) scan["sigma"].push_back(*sample.sigma);
+}
+
+}  // namespace
+
+FitRequest read_fit_request(std::string_view body, const kernels::Catalogue& catalogue, const DatasetSource& datasets) {
+    return read_document(parse_json(body), catalogue, datasets);
+}
+
+FitRequest read_fit_request_csv(std::string_view body, const Query& query, const kernels::Catalogue& catalogue) {
+    std::vector<FieldError> errors;
+    CsvQuery read;
+    read_query<CsvQuery>(query, Place(errors, ""), kFitQueryFields, read);
+    FitRequest request;
+    request.dataset = with_query(read_csv(body), read);
+    request.options = read.options;
     RawRequest raw;
-    if (!models.is_null()) raw.models = &models;
-    raw.options = &options;
+    if (!read.models.is_null()) raw.models = &read.models;
     finish(raw, catalogue, request, errors);
     return request;
+}
+
+PostedFit read_posted_fit(std::string_view body, const kernels::Catalogue& catalogue, const DatasetSource& datasets) {
+    const json document = parse_json(body);
+    PostedFit posted{read_document(document, catalogue, datasets), document.dump(), {}};
+    if (document["dataset"].is_string()) posted.dataset = document["dataset"].get<std::string>();
+    return posted;
+}
+
+PostedFit read_posted_fit_csv(std::string_view body, const Query& query, const kernels::Catalogue& catalogue) {
+    PostedFit posted{read_fit_request_csv(body, query, catalogue), "", {}};
+    posted.text = json{{"csv", body}, {"query", query}}.dump(-1, ' ', false, json::error_handler_t::replace);
+    return posted;
+}
+
+FitRequest read_job(std::string_view text, std::string_view dataset, const kernels::Catalogue& catalogue) {
+    const json document = parse_json(text);
+    if (document.contains("csv"))
+        return read_fit_request_csv(document["csv"].get_ref<const std::string&>(), document["query"].get<Query>(),
+                                    catalogue);
+    return read_document(document, catalogue, [&](const std::string&) { return std::string(dataset); });
+}
+
+Dataset read_dataset(std::string_view body) {
+    const json document = parse_json(body);
+    std::vector<FieldError> errors;
+    Dataset dataset;
+    read_object<Dataset>(document, Place(errors, ""), kDatasetFields, dataset);
+    refuse_if_any(std::move(errors));
+    return dataset;
+}
+
+Dataset read_dataset_csv(std::string_view body, const Query& query) {
+    std::vector<FieldError> errors;
+    CsvQuery read;
+    read_query<CsvQuery>(query, Place(errors, ""), kDatasetQueryFields, read);
+    Dataset dataset = with_query(read_csv(body), read);
+    refuse_if_any(std::move(errors));
+    return dataset;
+}
+
+schema::Json dataset_schema() { return schema_of(kDatasetFields); }
+schema::Json fit_request_schema() { return schema_of(kRequestFields); }
+std::vector<QueryParameter> dataset_query() { return parameters_of(kDatasetQueryFields); }
+std::vector<QueryParameter> fit_query() { return parameters_of(kFitQueryFields); }
+
+std::string canonical_text(const Dataset& dataset) {
+    json channels = json::array();
+    for (const Channel& channel : dataset.channels) {
+        json entry{{"name", channel.name}};
+        if (channel.wavelength_nm) entry["wavelength_nm"] = *channel.wavelength_nm;
+        json scans = json::array();
+        json samples = json::object();
+        for (const Sample& sample : channel.samples) {
+            const double phi_r = azimuth_on_wire(sample.direction);
+            // What reading will make of it: rounded once, and the same ever after.
+            const Sample kept{*direction_of(sample.direction.theta_i_deg, std::abs(sample.direction.theta_r_deg), 0,
+                                            phi_r, Signs::absent),
+                              sample.brdf, sample.sigma};
+            if (sample.direction.phi_deg == 0) append_scan_sample(scans, sample);
+            else if (kept.direction.phi_deg == 0) append_scan_sample(scans, kept);
+            else {
+                samples["theta_i_deg"].push_back(kept.direction.theta_i_deg);
+                samples["theta_r_deg"].push_back(std::abs(kept.direction.theta_r_deg));
+                samples["phi_r_deg"].push_back(phi_r);
+                samples["brdf"].push_back(kept.brdf);
+                if (kept.sigma) samples["sigma"].push_back(*kept.sigma);
+            }
+        }
+        if (!scans.empty()) entry["scans"] = std::move(scans);
+        if (!samples.empty()) entry["samples"] = std::move(samples);
+        channels.push_back(std::move(entry));
+    }
+    return json{{"name", dataset.name}, {"unit", name_of(kUnits, dataset.unit)}, {"channels", channels}}.dump();
 }
 
 }  // namespace brdfit::api

@@ -151,9 +151,19 @@ Json self_tests_json(std::span<const kernels::SelfTest> tests) {
 
 std::string version() { return BRDFIT_VERSION; }
 
-std::string to_json(const optim::Report& report, const std::string& id) {
+Json fit_links(const std::string& id) {
     const std::string self = "/v1/fits/" + id;
     const std::string plots = self + "/plots/";
+    return {{"self", self},
+            {"result", self + "/result"},
+            {"plots",
+             {{"brdf", plots + "brdf.svg"},
+              {"residual", plots + "residual.svg"},
+              {"summary", plots + "summary.svg"}}}};
+}
+
+std::string to_json(const optim::Report& report, const std::string& id) {
+    const std::string plots = "/v1/fits/" + id + "/plots/";
     bool any = false;
     Json channels = Json::array();
     for (const optim::ChannelReport& channel : report.channels) {
@@ -169,13 +179,7 @@ std::string to_json(const optim::Report& report, const std::string& id) {
                     {"device", device},
                     {"dataset", {{"name", report.dataset}, {"unit", name_of(kUnits, report.unit)}}},
                     {"channels", channels},
-                    {"links",
-                     {{"self", self},
-                      {"result", self + "/result"},
-                      {"plots",
-                       {{"brdf", plots + "brdf.svg"},
-                        {"residual", plots + "residual.svg"},
-                        {"summary", plots + "summary.svg"}}}}}});
+                    {"links", fit_links(id)}});
 }
 
 std::string to_json(const kernels::Catalogue& catalogue) {

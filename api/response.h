@@ -4,6 +4,8 @@
 #include <span>
 #include <string>
 
+#include <nlohmann/json.hpp>
+
 #include "kernels/model.h"
 #include "kernels/selftest.h"
 #include "kernels/throughput.h"
@@ -14,6 +16,9 @@ namespace brdfit::api {
 
 /// The version of this program, "1.2.3".
 std::string version();
+
+/// Where a fit's status, result and plots are.
+nlohmann::ordered_json fit_links(const std::string& id);
 
 /// The ranked fits of a job (WIRE: the answer of POST /v1/fits). Numbers are finite; what is not known is null.
 std::string to_json(const optim::Report& report, const std::string& id);

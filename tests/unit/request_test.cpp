@@ -40,7 +40,7 @@ void expect_refused(const std::string& pointer, const json& value, const std::ve
     json request = whole();
     request[json::json_pointer(pointer)] = value;
     const Problem problem = refusal_of([&] { (void)read(request); });
-    EXPECT_EQ(problem.status, 422);
+    EXPECT_EQ(problem.type.status, 422);
     EXPECT_EQ(errors_of(problem), errors);
 }
 /// The same where the value itself is what is wrong.
@@ -130,7 +130,7 @@ TEST(Request, RefusesWhatIsMissing) {
 TEST(Request, RefusesWrongTypes) {
     for (const char* text : {"1", "[]", "null", "\"x\""}) {
         const Problem problem = refusal_of([&] { (void)read_fit_request(text, catalogue()); });
-        EXPECT_EQ(problem.status, 422);
+        EXPECT_EQ(problem.type.status, 422);
         EXPECT_EQ(problem.errors.at(0).code, "wrong_type");
     }
     const json null;

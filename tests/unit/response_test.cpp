@@ -209,17 +209,17 @@ TEST(Response, SaysWhatTheSelfTestsFound) {
 
 TEST(Problem, HasTheMembersOfRfc9457) {
     const Json body = Json::parse(to_json(
-        Problem{422, "invalid-request", "x", {{"/a~1b", "c", "d", {}, {}}, {"", "e", "f", 3, 4}}}, "/v1/fits", "r"));
+        Problem{problem_type("invalid-request"), "x", {{"/a~1b", "c", "d", {}, {}}, {"", "e", "f", 3, 4}}}, "/v1/fits", "r"));
     EXPECT_EQ(body,
               Json::parse(R"({"type": "/problems/invalid-request", "title": "Unprocessable Content", "status": 422,
         "detail": "x", "instance": "/v1/fits", "request_id": "r", "errors": [
         {"pointer": "/a~1b", "code": "c", "detail": "d"},
         {"pointer": "", "code": "e", "detail": "f", "line": 3, "column": 4}]})"));
-    EXPECT_FALSE(Json::parse(to_json(Problem{404, "not-found", "x", {}}, "/", "r")).contains("errors"));
+    EXPECT_FALSE(Json::parse(to_json(Problem{problem_type("not-found"), "x", {}}, "/", "r")).contains("errors"));
 }
 
 TEST(Problem, SurvivesBytesThatAreNotUtf8) {
-    EXPECT_NO_THROW((void)to_json(Problem{404, "not-found", "\xff", {}}, "/\xfe", "r"));
+    EXPECT_NO_THROW((void)to_json(Problem{problem_type("not-found"), "\xff", {}}, "/\xfe", "r"));
 }
 
 TEST(Problem, EscapesPointers) {

@@ -1,0 +1,301 @@
+#include "api/answers.h"
+
+#include "api/evaluate.h"
+#include "api/names.h"
+#include "api/problem.h"
+#include "api/request.h"
+
+namespace brdfit::api {
+namespace {
+
+using namespace schema;
+
+const Json kNumberOrNull = or_null(number());
+const Json kTime = formatted("date-time");
+const Json kLink = formatted("uri-reference");
+
+// ---- what requests share ----
+
+Json model_name(const kernels::Catalogue& catalogue) {
+    Json json = text();
+    for (const kernels::Family& family : catalogue.families()) json["enum"].push_back(family.name);
+    return json;
+}
+
+/// A value for each of a model's parameters that is named.
+Json parameter_values(const kernels::Family& family) {
+    const kernels::Model& model = family.variants.back();
+    Json json{{"type", "object"}, {"properties", Json::object()}, {"additionalProperties", false}};
+    for (const kernels::Parameter& p : model.parameters) {
+        Json value = number();
+        // A length's limits depend on the wavelength.
+        if (p.unit == "1" && std::isfinite(p.domain_min)) value["minimum"] = p.domain_min;
+        if (p.unit == "1" && std::isfinite(p.domain_max)) value["maximum"] = p.domain_max;
+        value["description"] = p.doc + (p.unit == "1" ? "" : "; in um, or in wavelengths where none is given");
+        json["properties"][p.name] = std::move(value);
+    }
+    return json;
+}
+
+std::string parameters_name(const kernels::Family& family) { return "Parameters." + family.name; }
+
+Json parameter_values(const kernels::Catalogue& catalogue) {
+    std::vector<Json> models;
+    for (const kernels::Family& family : catalogue.families()) models.push_back(ref(parameters_name(family)));
+    return any_of(std::move(models));
+}
+
+// ---- problems ----
+
+Json problem() {
+    std::vector<Json> types;
+    std::string docs;
+    for (const ProblemType& type : kProblemTypes) {
+        types.emplace_back("/problems/" + std::string(type.name));
+        docs += (docs.empty() ? "" : "; ") + std::string(type.name) + " (" + std::to_string(type.status) +
+                "): " + std::string(type.title);
+    }
+    const Json error = object({
+        {"pointer", text(), "RFC 6901 pointer into the request; empty for CSV"},
+        {"code", text(), "for programs"},
+        {"detail", text(), "for people"},
+        {"line", whole(1, 1e15), "of the text, where the text is at fault", false},
+        {"column", whole(1, 1e15), "byte within the line; for CSV the field", false},
+    });
+    return object({
+        {"type", {{"type", "string"}, {"enum", types}}, docs},
+        {"title", text()},
+        {"status", whole(400, 599)},
+        {"detail", text()},
+        {"instance", text(), "path of the request"},
+        {"request_id", text(), "X-Request-Id"},
+        {"errors", array(error, 0, kMostErrors), "the place of each mistake", false},
+    });
+}
+
+// ---- results ----
+
+Json device(bool with_precision) {
+    std::vector<Member> members{{"name", text()}, {"platform", text()}, {"type", text()}};
+    if (with_precision) members.push_back({"precision", choice(kPrecisions), "of the search"});
+    return object(std::move(members));
+}
+
+Json fitted_parameter() {
+    return object({
+        {"value", kNumberOrNull},
+        {"std_error", kNumberOrNull, "null where the data do not determine it, or it is fixed or at a bound"},
+        {"unit", text(), "1, um, or lambda: wavelengths"},
+        {"at_bound", boolean()},
+        {"fixed", boolean(), "by the request", false},
+    });
+}
+
+Json fit() {
+    return object({
+        {"rank", whole(1, 1e6)},
+        {"model", text()},
+        {"lobes", whole(1, 100), "of a model with lobes", false},
+        {"parameters", map_of(ref("FittedParameter"))},
+        {"scale", kNumberOrNull, "relative data: measured = scale * f", false},
+        {"loss", kNumberOrNull},
+        {"relative_loss", kNumberOrNull, "the loss over that of f = 0"},
+        {"rmse", kNumberOrNull, "1/sr"},
+        {"log10_rmse", kNumberOrNull, "decades"},
+        {"aicc", kNumberOrNull},
+        {"bic", kNumberOrNull},
+        {"scans", array(object({{"theta_i_deg", number()}, {"rmse", kNumberOrNull}, {"log10_rmse", kNumberOrNull}})),
+         "errors by incidence angle"},
+        {"search", object({{"starts", count()},
+                           {"agreed", count(), "starts that ended within 1e-3 of the best loss"},
+                           {"evaluations", count()},
+                           {"stop_reason", choice(kStopReasons)},
+                           {"time_s", kNumberOrNull}})},
+        {"warnings", array(text()), "", false},
+        {"links", object({{"plot", kLink}})},
+    });
+}
+
+Json fit_result() {
+    const Json channel = object({
+        {"name", text()},
+        {"wavelength_nm", number(), "", false},
+        {"samples", count()},
+        {"fits", array(ref("Fit")), "best first"},
+        {"failures", array(object({{"model", text()}, {"reason", text()}}))},
+        {"warnings", array(text()), "", false},
+    });
+    return object({
+        {"id", text()},
+        {"state", {{"type", "string"}, {"enum", {"succeeded", "failed"}}}},
+        {"version", text()},
+        {"seed", count()},
+        {"device", device(true)},
+        {"dataset", object({{"name", text()}, {"unit", choice(kUnits)}})},
+        {"channels", array(channel)},
+        {"links", object({{"self", kLink}, {"result", kLink}, {"plots", map_of(kLink)}})},
+    });
+}
+
+// ---- jobs ----
+
+Json fit_status() {
+    const Json problem_members = object({{"type", text()}, {"title", text()}, {"status", count()}, {"detail", text()}});
+    return object({
+        {"id", text()},
+        {"state", ref("FitState")},
+        {"done", boolean(), "whether it has ended"},
+        {"dataset", ref("DatasetId"), "of a stored dataset, where the request names one", false},
+        {"queue_position", count(), "fits that are before it, while it is queued", false},
+        {"attempt", count(), "how often it was begun"},
+        {"progress", map_of(Json::object()), "as the last progress event told it", false},
+        {"created", kTime},
+        {"started", kTime, "the last attempt", false},
+        {"ended", kTime, "", false},
+        {"error", problem_members, "why it failed", false},
+        {"links", map_of(any_of({kLink, map_of(kLink)}))},
+    });
+}
+
+Json page_of(std::string_view item) {
+    return object({{"items", array(ref(item))},
+                   {"next_cursor", or_null(text()), "for the query parameter cursor; null on the last page"}});
+}
+
+// ---- datasets ----
+
+Json dataset_info() {
+    const Json range = object({{"min", number()}, {"max", number()}});
+    const Json channel = object({
+        {"name", text()},
+        {"wavelength_nm", number(), "", false},
+        {"samples", count()},
+        {"theta_i_deg", array(number()), "incidence angles, the first 100"},
+        {"theta_r_deg", range},
+        {"brdf", range},
+        {"not_positive", count(), "values of 0 or less: kept, left out where logarithms are taken"},
+        {"out_of_plane", count(), "samples outside the plane of incidence"},
+        {"sigma", boolean(), "whether every sample has a standard deviation"},
+    });
+    return object({
+        {"name", text()},
+        {"unit", choice(kUnits)},
+        {"samples", count()},
+        {"channels", array(channel)},
+    });
+}
+
+Json extended(Json base, std::vector<Member> more) {
+    Json further = object(std::move(more));
+    for (auto& [key, value] : further["properties"].items()) base["properties"][key] = value;
+    for (auto& key : further["required"]) base["required"].push_back(key);
+    return base;
+}
+
+Json stored_dataset() {
+    return extended(dataset_info(), {{"id", ref("DatasetId")},
+                                     {"bytes", count(), "as it is kept"},
+                                     {"created", kTime},
+                                     {"links", map_of(kLink)}});
+}
+
+// ---- models ----
+
+Json model() {
+    const Json parameter = object({
+        {"name", text()},
+        {"unit", text(), "1, or wavelength: a length"},
+        {"min", number(), "default bound of a fit"},
+        {"max", number(), "default bound of a fit"},
+        {"domain", array(kNumberOrNull, 2, 2), "what a request may name"},
+        {"scale", {{"type", "string"}, {"enum", {"linear", "log"}}}},
+        {"linear", boolean(), "whether f is linear in it"},
+        {"doc", text()},
+    });
+    return object({
+        {"name", ref("ModelName")},
+        {"title", text()},
+        {"source", text()},
+        {"formula", text()},
+        {"parameters", array(parameter)},
+        {"options", map_of(Json::object()), "of a model with lobes", false},
+        {"traits", map_of(boolean())},
+        {"links", object({{"self", kLink}})},
+    });
+}
+
+Json self_test() {
+    const Json worst = object({{"eps", kNumberOrNull}, {"at", text(), "", false}});
+    const Json model = object({
+        {"model", text()},
+        {"lobes", count(), "", false},
+        {"points", count()},
+        {"value", worst, "", false},
+        {"slope", worst, "", false},
+        {"passed", boolean(), "", false},
+        {"time_ms", kNumberOrNull},
+    });
+    const Json precision = object({
+        {"precision", choice(kPrecisions)},
+        {"form", choice(kSelfTestForms)},
+        {"passed", boolean()},
+        {"reason", text(), "", false},
+        {"time_ms", kNumberOrNull},
+        {"models", array(model)},
+    });
+    return object({{"largest_error_eps", number()}, {"precisions", array(precision)}});
+}
+
+Json service() {
+    return object({
+        {"name", text()},
+        {"version", text()},
+        {"device", device(false)},
+        {"selftest", ref("SelfTest")},
+        {"limits", map_of(number())},
+        {"links", map_of(kLink)},
+    });
+}
+
+}  // namespace
+
+Json component_schemas(const kernels::Catalogue& catalogue) {
+    Json states = text();
+    for (const char* state : {"queued", "running", "cancelling", "succeeded", "failed", "cancelled"})
+        states["enum"].push_back(state);
+    Json dataset_id = text();
+    dataset_id["pattern"] = "^[0-9a-f]{64}$";
+    Json json{
+        {"FitRequest", fit_request_schema()},
+        {"Dataset", dataset_schema()},
+        {"DatasetId", dataset_id},
+        {"EvaluateRequest", evaluate_request_schema()},
+        {"ModelName", model_name(catalogue)},
+        {"ParameterValues", parameter_values(catalogue)},
+        {"FitState", states},
+        {"FitStatus", fit_status()},
+        {"FitPage", page_of("FitStatus")},
+        {"FitResult", fit_result()},
+        {"Fit", fit()},
+        {"FittedParameter", fitted_parameter()},
+        {"DatasetInfo", dataset_info()},
+        {"StoredDataset", stored_dataset()},
+        {"WholeDataset", extended(stored_dataset(), {{"dataset", ref("Dataset"), "the measurements"}})},
+        {"DatasetPage", page_of("StoredDataset")},
+        {"Values", object({{"values", array(kNumberOrNull), "1/sr"},
+                           {"gradient", map_of(array(kNumberOrNull)), "by parameter, 1/sr per its unit", false}})},
+        {"Model", model()},
+        {"Models", object({{"models", array(ref("Model"))}})},
+        {"SelfTest", self_test()},
+        {"Service", service()},
+        {"Ready", object({{"status", text()}, {"selftest", ref("SelfTest")}})},
+        {"Live", object({{"status", constant("live")}})},
+        {"Links", object({{"links", map_of(kLink)}})},
+        {"ProblemType", object({{"type", text()}, {"title", text()}, {"status", whole(400, 599)}, {"doc", text()}})},
+        {"Problem", problem()},
+    };
+    for (const kernels::Family& family : catalogue.families()) json[parameters_name(family)] = parameter_values(family);
+    return json;
+}
+
+}  // namespace brdfit::api
