@@ -1,22 +1,6 @@
 #include "server/job.h"
 
-#include <array>
-#include <chrono>
-#include <cstdio>
-#include <random>
-
 namespace brdfit::server {
-
-std::string make_job_id() {
-    thread_local std::random_device random;  // the system's, not a sequence that can be guessed
-    const auto now = std::chrono::system_clock::now().time_since_epoch();
-    const auto ms = static_cast<unsigned long long>(std::chrono::duration_cast<std::chrono::milliseconds>(now).count());
-    std::array<char, 37> text{};
-    std::snprintf(text.data(), text.size(), "%08llx-%04llx-7%03x-%04x-%04x%08x", (ms >> 16) & 0xffffffffULL,
-                  ms & 0xffffULL, random() & 0xfffU, 0x8000U | (random() & 0x3fffU), random() & 0xffffU,
-                  static_cast<unsigned>(random()));
-    return text.data();
-}
 
 std::size_t size_of(const Job& job) {
     std::size_t bytes = sizeof job + job.result.size();

@@ -29,7 +29,7 @@ std::optional<JobState> job_state(std::string_view name);
 /// Interactive jobs go first, as somebody waits for them.
 enum class Priority { interactive, batch };
 
-/// Something that the store cannot do now. what() is for the log, never for a client.
+/// Something that the store cannot do. what() is for the log, never for a client.
 class StoreError : public std::runtime_error {
 public:
     enum class Kind {
@@ -66,6 +66,9 @@ struct PageRequest {
 };
 
 // ---- jobs ----
+
+/// A new job's name: UUID version 7, time-ordered and unguessable.
+std::string make_job_id();
 
 struct IdempotencyKey {
     std::string key;
@@ -136,6 +139,9 @@ struct Event {
 };
 
 // ---- the worker's side ----
+
+/// After so many attempts a job is given up.
+inline constexpr unsigned kMostAttempts = 3;
 
 /// The right to compute a job until it runs out.
 struct Lease {
@@ -264,11 +270,12 @@ public:
     // ---- looking after it ----
     /// A worker is known to have ended: its leases are void now. Jobs as after retry().
     virtual void bury(const std::string& owner) = 0;
-    /// Leases of jobs that were to be cancelled more than `patience` ago and still run: their workers do not heed.
+    /// A job that was to be cancelled long ago and still runs: its worker does not heed.
     struct Stuck {
         std::string job;
         std::string owner;
     };
+    /// Those of more than `patience` ago.
     virtual std::vector<Stuck> stuck(std::chrono::milliseconds patience) = 0;
     /// Voids leases that ran out, drops idempotency keys that have. To be called about once a second.
     virtual void tend() = 0;
@@ -284,19 +291,19 @@ private:
     Changes changes_;
 };
 
-/// Key of a result: SHA-256 of the parts, as a set of texts that cannot run into each other.
+/// 64 hexadecimal digits.
+std::string sha256(std::string_view bytes);
+
+/// Key of a result: SHA-256 of the parts in their order, which cannot run into each other.
 std::string result_key(const std::vector<std::string_view>& parts);
 
 struct SqliteOptions {
-    std::string path;                          ///< a file, or ":memory:" for what is gone with the object
+    std::string path;                          ///< a file; it and its folder are made if need be
     std::chrono::milliseconds patience{5000};  ///< how long to wait for others that write
     std::optional<std::size_t> most_bytes{};   ///< submit and put_dataset refuse beyond: StoreError::Kind::full
 };
 
 /// A store in a file of SQLite's. Throws StoreError (unusable).
 std::unique_ptr<JobStore> open_sqlite(const SqliteOptions& options);
-
-/// Attempts before a job is given up.
-inline constexpr unsigned kMostAttempts = 3;
 
 }  // namespace brdfit::server
