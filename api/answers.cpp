@@ -41,7 +41,7 @@ std::string parameters_name(const kernels::Family& family) { return "Parameters.
 
 Json parameter_values(const kernels::Catalogue& catalogue) {
     std::vector<Json> models;
-    for (const kernels::Family& family : catalogue.families()) models.push_back(ref(parameters_name(family)));
+    for (const kernels::Family& family : catalogue.families()) models.push_back(named(parameters_name(family)));
     return any_of(std::move(models));
 }
 
@@ -96,7 +96,7 @@ Json fit() {
         {"rank", whole(1, 1e6)},
         {"model", text()},
         {"lobes", whole(1, 100), "of a model with lobes", false},
-        {"parameters", map_of(ref("FittedParameter"))},
+        {"parameters", map_of(named("FittedParameter"))},
         {"scale", kNumberOrNull, "relative data: measured = scale * f", false},
         {"loss", kNumberOrNull},
         {"relative_loss", kNumberOrNull, "the loss over that of f = 0"},
@@ -121,7 +121,7 @@ Json fit_result() {
         {"name", text()},
         {"wavelength_nm", number(), "", false},
         {"samples", count()},
-        {"fits", array(ref("Fit")), "best first"},
+        {"fits", array(named("Fit")), "best first"},
         {"failures", array(object({{"model", text()}, {"reason", text()}}))},
         {"warnings", array(text()), "", false},
     });
@@ -143,9 +143,9 @@ Json fit_status() {
     const Json problem_members = object({{"type", text()}, {"title", text()}, {"status", count()}, {"detail", text()}});
     return object({
         {"id", text()},
-        {"state", ref("FitState")},
+        {"state", named("FitState")},
         {"done", boolean(), "whether it has ended"},
-        {"dataset", ref("DatasetId"), "of a stored dataset, where the request names one", false},
+        {"dataset", named("DatasetId"), "of a stored dataset, where the request names one", false},
         {"queue_position", count(), "fits that are before it, while it is queued", false},
         {"attempt", count(), "how often it was begun"},
         {"progress", map_of(Json::object()), "as the last progress event told it", false},
@@ -158,7 +158,7 @@ Json fit_status() {
 }
 
 Json page_of(std::string_view item) {
-    return object({{"items", array(ref(item))},
+    return object({{"items", array(named(item))},
                    {"next_cursor", or_null(text()), "for the query parameter cursor; null on the last page"}});
 }
 
@@ -193,7 +193,7 @@ Json extended(Json base, std::vector<Member> more) {
 }
 
 Json stored_dataset() {
-    return extended(dataset_info(), {{"id", ref("DatasetId")},
+    return extended(dataset_info(), {{"id", named("DatasetId")},
                                      {"bytes", count(), "as it is kept"},
                                      {"created", kTime},
                                      {"links", map_of(kLink)}});
@@ -213,7 +213,7 @@ Json model() {
         {"doc", text()},
     });
     return object({
-        {"name", ref("ModelName")},
+        {"name", named("ModelName")},
         {"title", text()},
         {"source", text()},
         {"formula", text()},
@@ -251,7 +251,7 @@ Json service() {
         {"name", text()},
         {"version", text()},
         {"device", device(false)},
-        {"selftest", ref("SelfTest")},
+        {"selftest", named("SelfTest")},
         {"limits", map_of(number())},
         {"links", map_of(kLink)},
     });
@@ -280,15 +280,15 @@ Json component_schemas(const kernels::Catalogue& catalogue) {
         {"FittedParameter", fitted_parameter()},
         {"DatasetInfo", dataset_info()},
         {"StoredDataset", stored_dataset()},
-        {"WholeDataset", extended(stored_dataset(), {{"dataset", ref("Dataset"), "the measurements"}})},
+        {"WholeDataset", extended(stored_dataset(), {{"dataset", named("Dataset"), "the measurements"}})},
         {"DatasetPage", page_of("StoredDataset")},
         {"Values", object({{"values", array(kNumberOrNull), "1/sr"},
                            {"gradient", map_of(array(kNumberOrNull)), "by parameter, 1/sr per its unit", false}})},
         {"Model", model()},
-        {"Models", object({{"models", array(ref("Model"))}})},
+        {"Models", object({{"models", array(named("Model"))}})},
         {"SelfTest", self_test()},
         {"Service", service()},
-        {"Ready", object({{"status", text()}, {"selftest", ref("SelfTest")}})},
+        {"Ready", object({{"status", text()}, {"selftest", named("SelfTest")}})},
         {"Live", object({{"status", constant("live")}})},
         {"Links", object({{"links", map_of(kLink)}})},
         {"ProblemType", object({{"type", text()}, {"title", text()}, {"status", whole(400, 599)}, {"doc", text()}})},

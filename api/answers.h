@@ -6,7 +6,7 @@
 
 namespace brdfit::api {
 
-/// components.schemas: each is referred to by schema::ref(name).
+/// components.schemas: each is referred to by schema::named(name).
 schema::Json component_schemas(const kernels::Catalogue& catalogue);
 
 }  // namespace brdfit::api

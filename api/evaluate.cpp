@@ -58,11 +58,11 @@ void read_geometry(const json& value, const Place& place, Raw& out) {
 }
 
 const std::vector<Field<Raw>> kFields{
-    {"model", true, "the model's name", schema::ref("ModelName"),
+    {"model", true, "the model's name", schema::named("ModelName"),
      [](const json& v, const Place& p, Raw& out) { out.model = read_text(v, p); }},
     {"lobes", false, "number of lobes, of a model that has them; as many as the parameters name if absent",
      schema::whole(1, 3), [](const json& v, const Place&, Raw& out) { out.lobes = &v; }},
-    {"parameters", true, "a value for every parameter of the model", schema::ref("ParameterValues"),
+    {"parameters", true, "a value for every parameter of the model", schema::named("ParameterValues"),
      [](const json& v, const Place&, Raw& out) { out.parameters = &v; }},
     {"wavelength_nm", false, "with it lengths are in um, without in wavelengths", schema::number(bad_wavelength),
      [](const json& v, const Place& p, Raw& out) { out.wavelength_nm = read_checked(v, p, bad_wavelength); }},

@@ -72,7 +72,7 @@ std::map<int, std::string> problems_of(const Operation& operation) {
 
 Json problem_json(const std::string& doc) {
     return {{"description", doc},
-            {"content", {{std::string(kProblemContent), {{"schema", schema::ref("Problem")}}}}}};
+            {"content", {{std::string(kProblemContent), {{"schema", schema::named("Problem")}}}}}};
 }
 
 Json operation_json(const Operation& operation) {

@@ -33,4 +33,13 @@ std::string to_json(const Problem& problem, const std::string& instance, const s
     return body.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
+std::string to_json(const ProblemType& type) {
+    return nlohmann::ordered_json{{"type", "/problems/" + std::string(type.name)},
+                                  {"title", type.title},
+                                  {"status", type.status},
+                                  {"doc", type.doc}}
+               .dump() +
+           "\n";
+}
+
 }  // namespace brdfit::api

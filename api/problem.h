@@ -106,5 +106,7 @@ private:
 
 /// The body.
 std::string to_json(const Problem& problem, const std::string& instance, const std::string& request_id);
+/// What a kind means.
+std::string to_json(const ProblemType& type);
 
 }  // namespace brdfit::api

@@ -72,12 +72,12 @@ struct RawModel {
 };
 
 const std::vector<Field<RawModel>> kModelFields{
-    {"name", true, "the model's name", schema::ref("ModelName"),
+    {"name", true, "the model's name", schema::named("ModelName"),
      [](const json& v, const Place& p, RawModel& out) { out.name = read_text(v, p).value_or(""); }},
     {"lobes", false, "number of lobes, of a model that has them; \"auto\": as few as the data support",
      schema::with_default(schema::any_of({schema::constant("auto"), {{"type", "integer"}, {"minimum", 1}}}), "auto"),
      [](const json& v, const Place&, RawModel& out) { out.lobes = &v; }},
-    {"fixed", false, "parameters held at a value", schema::ref("ParameterValues"),
+    {"fixed", false, "parameters held at a value", schema::named("ParameterValues"),
      [](const json& v, const Place&, RawModel& out) { out.fixed = &v; }},
     {"bounds", false, "parameters kept within [low, high]", schema::map_of(schema::array(schema::number(), 2, 2)),
      [](const json& v, const Place&, RawModel& out) { out.bounds = &v; }},
@@ -336,10 +336,10 @@ struct RawRequest {
 
 const std::vector<Field<RawRequest>> kRequestFields{
     {"dataset", true, "the measurements, or the id of a stored dataset",
-     schema::any_of({schema::ref("Dataset"), schema::ref("DatasetId")}),
+     schema::any_of({schema::named("Dataset"), schema::named("DatasetId")}),
      [](const json& v, const Place&, RawRequest& out) { out.dataset = &v; }},
     {"models", false, "models to fit, by name or with settings; all if absent",
-     schema::array(schema::any_of({schema::ref("ModelName"), schema_of(kModelFields)}), 1, kMostModels),
+     schema::array(schema::any_of({schema::named("ModelName"), schema_of(kModelFields)}), 1, kMostModels),
      [](const json& v, const Place&, RawRequest& out) { out.models = &v; }},
     {"options", false, "options of the fit", schema_of(kOptionFields),
      [](const json& v, const Place&, RawRequest& out) { out.options = &v; }},
@@ -411,7 +411,7 @@ const std::vector<Field<CsvQuery>> kDatasetQueryFields = [] {
 const std::vector<Field<CsvQuery>> kFitQueryFields = [] {
     std::vector<Field<CsvQuery>> fields{
         {"models", false, "names of models to fit; all if absent",
-         schema::array(schema::ref("ModelName"), 1, kMostModels),
+         schema::array(schema::named("ModelName"), 1, kMostModels),
          [](const json& v, const Place&, CsvQuery& out) { out.models = v; }}};
     append_simple(fields, kDatasetFields, &CsvQuery::dataset);
     append_simple(fields, kOptionFields, &CsvQuery::options, "/options");

@@ -4,6 +4,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "api/evaluate.h"
 #include "api/names.h"
 #include "api/samples.h"
 
@@ -17,15 +18,16 @@ std::string text_of(const Json& body) { return body.dump(-1, ' ', false, Json::e
 Json number(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
 Json number(const std::optional<double>& value) { return value ? number(*value) : Json(nullptr); }
 
-std::string url_encoded(std::string_view text) {
-    constexpr std::string_view kHex = "0123456789ABCDEF";
-    std::string out;
-    for (const char c : text) {
-        const auto byte = static_cast<unsigned char>(c);
-        if (std::isalnum(byte) != 0 || c == '-' || c == '_' || c == '.' || c == '~') out += c;
-        else out += {'%', kHex[byte >> 4], kHex[byte & 15]};
-    }
-    return out;
+Json service_links() {
+    return {{"self", "/"},
+            {"service", "/v1"},
+            {"documentation", "/docs"},
+            {"openapi", "/openapi.json"},
+            {"models", "/v1/models"},
+            {"datasets", "/v1/datasets"},
+            {"fits", "/v1/fits"},
+            {"evaluate", "/v1/evaluate"},
+            {"health", "/health/ready"}};
 }
 
 Json device_json(const kernels::DeviceInfo& device) {
@@ -151,6 +153,17 @@ Json self_tests_json(std::span<const kernels::SelfTest> tests) {
 
 std::string version() { return BRDFIT_VERSION; }
 
+std::string url_encoded(std::string_view text) {
+    constexpr std::string_view kHex = "0123456789ABCDEF";
+    std::string out;
+    for (const char c : text) {
+        const auto byte = static_cast<unsigned char>(c);
+        if (std::isalnum(byte) != 0 || c == '-' || c == '_' || c == '.' || c == '~') out += c;
+        else out += {'%', kHex[byte >> 4], kHex[byte & 15]};
+    }
+    return out;
+}
+
 Json fit_links(const std::string& id) {
     const std::string self = "/v1/fits/" + id;
     const std::string plots = self + "/plots/";
@@ -244,9 +257,15 @@ std::string service_json(const kernels::DeviceInfo& device, std::span<const kern
                     {"version", version()},
                     {"device", device_json(device)},
                     {"selftest", self_tests_json(tests)},
-                    {"limits", {{"body_bytes", largest_body}, {"samples", kMostSamples}, {"channels", kMostChannels}}},
-                    {"links", {{"models", "/v1/models"}, {"fits", "/v1/fits"}, {"health", "/health/ready"}}}});
+                    {"limits",
+                     {{"body_bytes", largest_body},
+                      {"samples", kMostSamples},
+                      {"channels", kMostChannels},
+                      {"evaluate_rows", kMostRows}}},
+                    {"links", service_links()}});
 }
+
+std::string links_json() { return text_of({{"links", service_links()}}); }
 
 std::string ready_json(std::span<const kernels::SelfTest> tests, bool ready) {
     return text_of({{"status", ready ? "ready" : "unfit"}, {"selftest", self_tests_json(tests)}});

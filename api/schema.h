@@ -42,7 +42,7 @@ inline Json array(Json items, std::size_t least, std::size_t most) {
 }
 /// An object whose keys are names that a client or a model chose.
 inline Json map_of(Json values) { return {{"type", "object"}, {"additionalProperties", std::move(values)}}; }
-inline Json ref(std::string_view component) {
+inline Json named(std::string_view component) {
     return {{"$ref", "#/components/schemas/" + std::string(component)}};
 }
 inline Json any_of(std::vector<Json> schemas) { return {{"anyOf", std::move(schemas)}}; }

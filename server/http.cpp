@@ -18,6 +18,7 @@
 #include <spdlog/spdlog.h>
 
 #include "api/problem.h"
+#include "server/store.h"
 
 namespace brdfit::server {
 namespace {
@@ -94,16 +95,15 @@ void answer(const Request& request, const Response& response, const std::atomic<
 std::optional<api::Problem> bad_framing(const httplib::Request& request) {
     const std::string length = request.get_header_value("Content-Length");
     const bool chunked = request.has_header("Transfer-Encoding");
-    if (length.empty() && !chunked) return api::Problem{411, "length-required", "Content-Length must be given", {}};
+    if (length.empty() && !chunked) return api::Problem{api::problem_type("length-required"), "Content-Length must be given", {}};
     if (request.has_header("Content-Encoding"))
-        return api::Problem{415, "unsupported-media-type", "the body must not be compressed", {}};
+        return api::Problem{api::problem_type("unsupported-media-type"), "the body must not be compressed", {}};
     std::size_t bytes = 0;
     const auto [end, error] = std::from_chars(length.data(), length.data() + length.size(), bytes);
     if (!length.empty() && (error == std::errc::invalid_argument || end != length.data() + length.size()))
-        return api::Problem{400, "bad-request", "Content-Length must be a number", {}};
+        return api::Problem{api::problem_type("bad-request"), "Content-Length must be a number", {}};
     if (error == std::errc::result_out_of_range || bytes > kLargestBody)
-        return api::Problem{
-            413, "too-large", "the body may have at most " + std::to_string(kLargestBody) + " bytes", {}};
+        return api::Problem{api::problem_type("too-large"), "the body may have at most " + std::to_string(kLargestBody) + " bytes", {}};
     return std::nullopt;
 }
 
@@ -238,11 +238,14 @@ struct HttpServer::Impl {
                 const auto refuse_unread = [&](const api::Problem& problem) {
                     body_left_unread = true;
                     to.set_header("Connection", "close");
-                    respond(request, problem_response(problem, request), to);
+                    respond(request, routes.refusal(problem, request), to);
                 };
+                if (!routes.takes_body(request.path) && !from.has_header("Content-Length") &&
+                    !from.has_header("Transfer-Encoding"))
+                    return respond(request, routes.handle(request), to);  // nothing to read, nothing asked for
                 if (const auto problem = bad_framing(from)) return refuse_unread(*problem);
                 if (from.is_multipart_form_data())
-                    return refuse_unread({415, "unsupported-media-type", "a form is not accepted", {}});
+                    return refuse_unread({api::problem_type("unsupported-media-type"), "a form is not accepted", {}});
                 bool too_large = false;  // chunked bodies tell no length
                 const bool whole = read([&](const char* data, std::size_t size) {
                     too_large = request.body.size() + size > kLargestBody;
@@ -252,8 +255,8 @@ struct HttpServer::Impl {
                 });
                 if (too_large)
                     return refuse_unread(
-                        {413, "too-large", "the body may have at most " + std::to_string(kLargestBody) + " bytes", {}});
-                if (!whole) return refuse_unread({400, "bad-request", "the body is incomplete", {}});
+                        {api::problem_type("too-large"), "the body may have at most " + std::to_string(kLargestBody) + " bytes", {}});
+                if (!whole) return refuse_unread({api::problem_type("bad-request"), "the body is incomplete", {}});
                 respond(request, routes.handle(request), to);
             };
         server.Post(".*", with_body);
@@ -264,7 +267,7 @@ struct HttpServer::Impl {
             if (!to.body.empty()) return;
             const Request request = request_of(from);
             const int status = to.status;
-            answer(request, problem_response({status, "http", "the request cannot be served", {}}, request), stopping,
+            answer(request, routes.refusal({api::problem_type_of(status), "the request cannot be served", {}}, request), stopping,
                    to);
         });
     }

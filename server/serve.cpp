@@ -20,14 +20,12 @@
 #include "kernels/selftest.h"
 #include "optim/fit.h"
 #include "server/http.h"
-#include "server/job.h"
+#include "server/local.h"
 #include "server/routes.h"
+#include "server/store.h"
 
 namespace brdfit::server {
 namespace {
-
-/// Finished fits are kept for their plots: about 150 KB each for 300 samples.
-constexpr std::size_t kKeptBytes = std::size_t{256} << 20;
 
 void log(const kernels::SelfTest& test) {
     if (test.passed()) return;
@@ -90,12 +88,15 @@ void serve(const ServeOptions& options) {
 
     const kernels::Catalogue catalogue(options.model_folders);
     kernels::Engine engine(options.engine);
-    MemoryJobStore store(kKeptBytes);
+    char folder[] = "/tmp/brdfit.XXXXXX";
+    const auto store = open_sqlite({std::string(::mkdtemp(folder)) + "/store"});
     const unsigned threads = options.threads != 0 ? options.threads : std::thread::hardware_concurrency();
     optim::Fitter fitter(engine, threads);
     std::stop_source stop;
     std::promise<std::vector<kernels::SelfTest>> self_tests;
-    const Routes routes(catalogue, fitter, store, self_tests.get_future().share(), stop.get_token());
+    LocalCompute compute(catalogue, fitter, self_tests.get_future().share());
+    const LocalWorkers workers(catalogue, fitter, *store, 8);
+    const Routes routes(catalogue, *store, compute, stop.get_token());
     HttpServer http(routes);
     const int port = http.bind(options.host, options.port);  // a taken port is told before the compiler runs
     // Fits are possible when one precision is proven; the other is while the first requests come.

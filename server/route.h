@@ -1,0 +1,38 @@
+/// One row of the table by which requests are answered and by which the contract is published.
+#pragma once
+
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "api/openapi.h"
+#include "api/problem.h"
+#include "server/message.h"
+
+namespace brdfit::server {
+
+/// A request that met its row.
+struct Call {
+    const Request& request;
+    std::vector<std::string> path;  ///< what stands for the names of the template, in their order
+};
+
+struct Route {
+    api::Operation operation;
+    std::function<Response(const Call&)> answer;  ///< throws api::Refusal
+};
+
+/// A file of measurements, for examples.
+inline constexpr const char* kCsvExample =
+    "theta_i_deg,theta_r_deg,brdf_per_sr\n30,-60,0.171\n30,0,0.18\n30,28,0.385\n30,32,0.38\n30,60,0.2\n60,0,0.19\n";
+
+/// Refuses a query parameter where there is none.
+void refuse_query(const Request& request);
+
+/// Refuses a body of another type than these of the operation; returns which it is.
+std::string body_type(const Request& request, std::initializer_list<std::string_view> accepted);
+
+/// A refusal with one error.
+api::Refusal invalid(const std::string& pointer, const std::string& code, const std::string& detail);
+
+}  // namespace brdfit::server
