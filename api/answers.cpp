@@ -290,7 +290,7 @@ Json component_schemas(const kernels::Catalogue& catalogue) {
         {"Service", service()},
         {"Ready", object({{"status", text()}, {"selftest", named("SelfTest")}})},
         {"Live", object({{"status", constant("live")}})},
-        {"Links", object({{"links", map_of(kLink)}})},
+        {"Links", object({{"name", text()}, {"version", text()}, {"links", map_of(kLink)}})},
         {"ProblemType", object({{"type", text()}, {"title", text()}, {"status", whole(400, 599)}, {"doc", text()}})},
         {"Problem", problem()},
     };

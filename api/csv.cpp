@@ -18,7 +18,7 @@ enum Column { theta_i, theta_r, brdf, phi_i, phi_r, sigma, wavelength, channel, 
 struct ColumnRule {
     std::string_view name;
     bool required;
-    const Range* bad;  ///< none for a name
+    const Rule* bad;  ///< none for a name
 };
 constexpr std::array<ColumnRule, kColumns> kRules{{
     {"theta_i_deg", true, &bad_theta_i},

@@ -187,7 +187,7 @@ inline void refuse_if_any(std::vector<FieldError> errors) {
     throw Refusal({problem_type("invalid-request"), std::move(detail), std::move(errors)});
 }
 
-inline std::optional<double> read_checked(const nlohmann::json& value, const Place& place, const Range& bad) {
+inline std::optional<double> read_checked(const nlohmann::json& value, const Place& place, const Rule& bad) {
     const auto number = read_number(value, place);
     if (!number) return std::nullopt;
     if (const auto reason = bad(*number)) {
@@ -198,7 +198,7 @@ inline std::optional<double> read_checked(const nlohmann::json& value, const Pla
 }
 
 /// A column: an array of numbers. An element that is refused is 0; the request is refused anyway.
-inline std::vector<double> read_column(const nlohmann::json& value, const Place& place, const Range& bad) {
+inline std::vector<double> read_column(const nlohmann::json& value, const Place& place, const Rule& bad) {
     if (!value.is_array()) {
         place.fail("wrong_type", "must be an array of numbers");
         return {};

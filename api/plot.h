@@ -11,7 +11,7 @@
 
 namespace brdfit::api {
 
-inline constexpr Range kPlotWidth{320, false, 4000, false, "width must be 320 to 4000"};
+inline constexpr Rule kPlotWidth{320, false, 4000, false, "width must be 320 to 4000"};
 
 /// Options that the report does not allow.
 class InvalidPlot : public std::invalid_argument {

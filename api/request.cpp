@@ -33,7 +33,7 @@ void read_seed(const json& value, const Place& place, FitOptions& out) {
     else out.seed = static_cast<std::uint64_t>(*number);
 }
 
-constexpr Range bad_time_limit{0, true, 3600, false, "must lie in (0, 3600]"};
+constexpr Rule bad_time_limit{0, true, 3600, false, "must lie in (0, 3600]"};
 
 const FitOptions kDefaults;
 
@@ -154,7 +154,7 @@ struct Columns {
 };
 
 Field<Columns> column_field(std::string_view key, bool required, std::string_view doc,
-                            std::vector<double> Columns::*column, const Range& bad) {
+                            std::vector<double> Columns::*column, const Rule& bad) {
     return {key, required, doc, schema::array(schema::number(bad), 1, kMostSamples),
             [=](const json& v, const Place& p, Columns& out) { out.*column = read_column(v, p, bad); }};
 }

@@ -265,7 +265,9 @@ std::string service_json(const kernels::DeviceInfo& device, std::span<const kern
                     {"links", service_links()}});
 }
 
-std::string links_json() { return text_of({{"links", service_links()}}); }
+std::string links_json() {
+    return text_of({{"name", "brdfit"}, {"version", version()}, {"links", service_links()}});
+}
 
 std::string ready_json(std::span<const kernels::SelfTest> tests, bool ready) {
     return text_of({{"status", ready ? "ready" : "unfit"}, {"selftest", self_tests_json(tests)}});

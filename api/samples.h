@@ -14,7 +14,7 @@ inline constexpr std::size_t kMostSamples = 1'000'000;  ///< of a request
 inline constexpr std::size_t kMostChannels = 1000;
 
 /// A rule for a number: why it is refused, or nothing.
-struct Range {
+struct Rule {
     double low;
     bool low_open;
     double high;
@@ -29,13 +29,13 @@ struct Range {
 };
 
 /// Why a value cannot be one of a sample; nullopt if it can. In the wire's units.
-inline constexpr Range bad_theta_i{
+inline constexpr Rule bad_theta_i{
     0, false, 90, true, "theta_i_deg must lie in [0, 90); the side of the specimen is the sign of theta_r_deg"};
-inline constexpr Range bad_theta_r{-90, true, 90, true, "theta_r_deg must lie in (-90, 90)"};
-inline constexpr Range bad_phi{-360, false, 360, false, "phi must lie in [-360, 360]"};
-inline constexpr Range bad_brdf{-1e30, false, 1e30, false, "a BRDF value must be finite and at most 1e30 in size"};
-inline constexpr Range bad_sigma{0, true, 1e30, false, "sigma must be positive and finite"};
-inline constexpr Range bad_wavelength{1, false, 1e7, false, "wavelength_nm must lie in [1, 1e7]"};
+inline constexpr Rule bad_theta_r{-90, true, 90, true, "theta_r_deg must lie in (-90, 90)"};
+inline constexpr Rule bad_phi{-360, false, 360, false, "phi must lie in [-360, 360]"};
+inline constexpr Rule bad_brdf{-1e30, false, 1e30, false, "a BRDF value must be finite and at most 1e30 in size"};
+inline constexpr Rule bad_sigma{0, true, 1e30, false, "sigma must be positive and finite"};
+inline constexpr Rule bad_wavelength{1, false, 1e7, false, "wavelength_nm must lie in [1, 1e7]"};
 
 /// Whether a text may be answered as it is. JSON is UTF-8 or refused; CSV and queries may hold anything.
 bool is_utf8(const std::string& text);

@@ -22,7 +22,7 @@ inline Json formatted(std::string_view format) { return {{"type", "string"}, {"f
 inline Json boolean() { return {{"type", "boolean"}}; }
 inline Json number() { return {{"type", "number"}}; }
 /// A number that a rule lets pass.
-inline Json number(const Range& range) {
+inline Json number(const Rule& range) {
     Json json = number();
     if (std::isfinite(range.low)) json[range.low_open ? "exclusiveMinimum" : "minimum"] = range.low;
     if (std::isfinite(range.high)) json[range.high_open ? "exclusiveMaximum" : "maximum"] = range.high;

@@ -12,7 +12,7 @@
 
 namespace brdfit::server {
 
-inline constexpr api::Range kPageLimit{1, false, 1000, false, "limit must be a whole number from 1 to 1000"};
+inline constexpr api::Rule kPageLimit{1, false, 1000, false, "limit must be a whole number from 1 to 1000"};
 
 /// Fields of a list's query; Query has a member `page`.
 template <class Query>
