@@ -134,7 +134,7 @@ Response Routes::dispatch(const Request& request, std::string& route) const {
     if (is({"health", "live"})) response = {200, "application/json", "{\"status\":\"live\"}\n", {}};
     else if (is({"health", "ready"})) response = get_ready();
     else if (is({"v1"}) || is({""}))
-        response.body = api::service_json(fitter_.engine().device(), self_tests_.get(), kLargestBody);
+        response.body = api::service_json(fitter_.engine().device(), self_tests_.get(), largest_body_);
     else if (is({"v1", "models"})) response.body = api::to_json(catalogue_);
     else if (is({"v1", "models", "*"})) response = get_models(parts[2]);
     else if (is({"v1", "fits", "*"}) || is({"v1", "fits", "*", "result"})) response = get_result(parts[2]);

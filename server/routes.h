@@ -50,11 +50,11 @@ struct Request {
 class Stream {
 public:
     virtual ~Stream() = default;
-    /// Sends at once. False if the client is gone or takes nothing for seconds, or the service stops: then return.
+    /// Sends at once. False if the client is gone or takes nothing for seconds: then return.
     virtual bool write(std::string_view bytes) = 0;
-    /// Whether write() would go on; sees at once that the client has closed.
+    /// Whether to go on: the client has not closed its side, and the service does not stop.
     [[nodiscard]] virtual bool open() const = 0;
-    /// Whether the service stops: say goodbye within a second, and return.
+    /// Whether the service stops: write what is left to say within a second, and return.
     [[nodiscard]] virtual bool stopping() const = 0;
 };
 
@@ -75,14 +75,16 @@ std::string accepted_types(const std::string& path);
 class Routes {
 public:
     /// self_tests: what they found. By the first request those of the best precision have ended; who asks for another,
-    /// or for what they found, waits for all.
+    /// or for what they found, waits for all. largest_body: bytes, as clients are told.
     Routes(const kernels::Catalogue& catalogue, optim::Fitter& fitter, JobStore& store,
-           std::shared_future<std::vector<kernels::SelfTest>> self_tests, std::stop_token stop)
+           std::shared_future<std::vector<kernels::SelfTest>> self_tests, std::stop_token stop,
+           std::size_t largest_body = kLargestBody)
         : catalogue_(catalogue),
           fitter_(fitter),
           store_(store),
           self_tests_(std::move(self_tests)),
-          stop_(std::move(stop)) {}
+          stop_(std::move(stop)),
+          largest_body_(largest_body) {}
 
     /// Never throws: what goes wrong is a problem+json answer, and a line in the log.
     [[nodiscard]] Response handle(const Request& request) const;
@@ -106,6 +108,7 @@ private:
     JobStore& store_;
     std::shared_future<std::vector<kernels::SelfTest>> self_tests_;
     std::stop_token stop_;
+    std::size_t largest_body_;
 };
 
 /// A problem as an answer.
