@@ -191,7 +191,11 @@ std::string openapi_json(std::span<const Operation* const> operations, const ker
           {"description", "Fits reflectance models to measured scans. Angles are in degrees, BRDF in 1/sr, lengths in "
                           "micrometres, wavelengths in nm. Changes are additive: expect more members in answers."}}},
         {"paths", std::move(paths)},
-        {"components", {{"schemas", component_schemas(catalogue)}}}};
+        {"components",
+         {{"schemas", component_schemas(catalogue)},
+          {"securitySchemes",
+           {{"key", {{"type", "http"}, {"scheme", "bearer"}, {"description", "where the service asks for API keys"}}}}}}},
+        {"security", Json::array({Json::object(), {{"key", Json::array()}}})}};
     return document.dump() + "\n";
 }
 

@@ -11,8 +11,6 @@
 #include <thread>
 #include <vector>
 
-#include <spdlog/sinks/stdout_sinks.h>
-#include <spdlog/spdlog.h>
 #include <CLI/CLI.hpp>
 
 #include "api/plot.h"
@@ -185,20 +183,41 @@ void bench_fit(const kernels::EngineOptions& options, const std::string& growth,
 }  // namespace
 
 int main(int argc, char** argv) {
-    spdlog::set_default_logger(
-        std::make_shared<spdlog::logger>("brdfit", std::make_shared<spdlog::sinks::stderr_sink_mt>()));
+    server::set_log_format(server::LogFormat::text);
     CLI::App app{"Fits reflectance models to BRDF measurements and ranks them."};
     app.set_version_flag("--version", api::version());
     app.require_subcommand(1);
 
     server::ServeOptions serve_options;
     CLI::App* serve = app.add_subcommand("serve", "Answer HTTP requests until SIGTERM");
-    serve->add_option("--host", serve_options.host, "Loopback address to bind")->capture_default_str();
+    serve->add_option("--host", serve_options.host, "Address to bind; one that others reach needs --api-keys")
+        ->capture_default_str();
     serve->add_option("--port", serve_options.port, "Port to bind; 0 takes a free one")
         ->check(CLI::Range(0, 65535))
         ->capture_default_str();
     serve->add_option("--threads", serve_options.threads, "Searches at once; 0: one a core")
         ->check(CLI::Range(0, 1024));
+
+    serve->add_option("--api-keys", serve_options.http.api_keys,
+                      "File of API keys, a line each: name:SHA-256 of the key; requests then need one");
+    serve->add_option("--max-body", serve_options.http.limits.largest_body, "Most bytes of a request's body, e.g. 64MB")
+        ->transform(CLI::AsSizeValue(false))
+        ->check(CLI::Range(std::size_t{1024}, std::size_t{1} << 30))
+        ->capture_default_str();
+    serve
+        ->add_option("--max-connections", serve_options.http.limits.most_connections,
+                     "Most connections at once, one peer half of them")
+        ->check(CLI::Range(8, 100000))
+        ->capture_default_str();
+    serve
+        ->add_option("--rate", serve_options.http.rate,
+                     "Most requests a second of a client, /health apart; 0: as many as come")
+        ->check(CLI::Range(0.0, 1e6))
+        ->capture_default_str();
+    const std::map<std::string, server::LogFormat> log_formats{{"text", server::LogFormat::text},
+                                                               {"json", server::LogFormat::json}};
+    serve->add_option("--log-format", serve_options.log_format, "text or json: lines on standard error")
+        ->transform(CLI::CheckedTransformer(log_formats));
 
     FitArguments fit_arguments;
     CLI::App* fit_command = app.add_subcommand("fit", "Fit a CSV file, or a JSON request, without a server");

@@ -6,6 +6,7 @@
 #include <string>
 #include <string_view>
 
+#include "api/problem.h"
 #include "api/query.h"
 
 namespace brdfit::server {
@@ -54,5 +55,8 @@ struct Response {
     /// answer ends when it returns, and the connection with it. It looks at open() at least once a second.
     std::function<void(Stream&)> stream{};
 };
+
+/// A problem as an answer.
+Response problem_response(const api::Problem& problem, const Request& request);
 
 }  // namespace brdfit::server

@@ -24,8 +24,8 @@ std::vector<std::string> parts_of(std::string_view path) {
 }
 
 /// What stands for the names of a template, if the path is of its form.
-std::optional<std::vector<std::string>> match(const std::vector<std::string>& parts, std::string_view path) {
-    const std::vector<std::string> wanted = parts_of(path);
+std::optional<std::vector<std::string>> match(const std::vector<std::string>& parts,
+                                              const std::vector<std::string>& wanted) {
     if (wanted.size() != parts.size()) return std::nullopt;
     std::vector<std::string> names;
     for (std::size_t i = 0; i < parts.size(); ++i)
@@ -46,46 +46,37 @@ void heed_conditions(const Request& request, Response& response) {
 
 }  // namespace
 
-Routes::Routes(const kernels::Catalogue& catalogue, JobStore& store, Compute& compute, const std::stop_token& stop)
-    : fits_(catalogue, store, compute, stop), datasets_(store), service_(catalogue, compute, kLargestBody, stop) {
-    for (auto& routes : {fits_.routes(), datasets_.routes(), service_.routes()})
-        table_.insert(table_.end(), routes.begin(), routes.end());
+Routes::Routes(const kernels::Catalogue& catalogue, JobStore& store, Compute& compute, const std::stop_token& stop,
+               std::size_t largest_body)
+    : fits_(catalogue, store, compute, stop), datasets_(store), about_(catalogue, compute, largest_body, stop) {
+    for (auto& routes : {fits_.routes(), datasets_.routes(), about_.routes()})
+        for (const Route& route : routes) table_.push_back({route, parts_of(route.operation.path)});
     std::vector<const api::Operation*> operations;
-    for (const Route& route : table_) operations.push_back(&route.operation);
-    service_.publish(operations);
+    for (const Row& row : table_) operations.push_back(&row.route.operation);
+    const std::vector<api::Operation> elsewhere = About::elsewhere();
+    for (const api::Operation& operation : elsewhere) operations.push_back(&operation);
+    about_.publish(operations);
 }
 
 Response Routes::refusal(const Problem& problem, const Request& request) const {
-    Response response;
-    response.status = problem.type.status;
-    response.content_type = "application/problem+json";
-    response.body = api::to_json(problem, request.path, request.id);
-    if (problem.type.retry_after_s > 0) response.headers["Retry-After"] = std::to_string(problem.type.retry_after_s);
-    if (problem.type.status == 415)
-        if (std::string types = accepted_types(request.path); !types.empty())
-            response.headers["Accept-Post"] = std::move(types);
-    if (problem.type.status == 405) {
-        const std::vector<std::string> parts = parts_of(request.path);
-        std::string& allow = response.headers["Allow"];
-        for (const Route& route : table_)
-            if (match(parts, route.operation.path))
-                allow += (allow.empty() ? "" : ", ") + std::string(route.operation.method) +
-                         (route.operation.method == "GET" ? ", HEAD" : "");
+    Response response = problem_response(problem, request);
+    const auto list = [](std::string& names, std::string_view name) {
+        names += (names.empty() ? "" : ", ") + std::string(name);
+    };
+    const int status = problem.type.status;
+    if (status != 405 && status != 415) return response;
+    const std::vector<std::string> parts = parts_of(request.path);
+    std::string allowed, accepted;
+    for (const Row& row : table_) {
+        if (!match(parts, row.parts)) continue;
+        list(allowed, row.route.operation.method);
+        if (row.route.operation.method == "GET") list(allowed, "HEAD");
+        for (const api::Content& body : row.route.operation.bodies) list(accepted, body.type);
     }
+    if (status == 405) response.headers["Allow"] = allowed;
+    else if (!accepted.empty()) response.headers["Accept-Post"] = accepted;
     return response;
 }
-
-std::string Routes::accepted_types(const std::string& path) const {
-    const std::vector<std::string> parts = parts_of(path);
-    std::string types;
-    for (const Route& route : table_)
-        if (route.operation.method == "POST" && match(parts, route.operation.path))
-            for (const api::Content& body : route.operation.bodies)
-                types += (types.empty() ? "" : ", ") + std::string(body.type);
-    return types;
-}
-
-bool Routes::takes_body(const std::string& path) const { return !accepted_types(path).empty(); }
 
 Response Routes::handle(const Request& request) const {
     std::string route;
@@ -114,12 +105,12 @@ Response Routes::answer(const Request& request, std::string& route) const {
 Response Routes::dispatch(const Request& request, std::string& route) const {
     const std::vector<std::string> parts = parts_of(request.path);
     const std::string_view method = request.method == "HEAD" ? "GET" : std::string_view(request.method);
-    for (const Route& row : table_) {
-        auto names = match(parts, row.operation.path);
+    for (const Row& row : table_) {
+        auto names = match(parts, row.parts);
         if (!names) continue;
-        route = row.operation.path;
-        if (row.operation.method != method) continue;
-        Response response = row.answer({request, std::move(*names)});
+        route = row.route.operation.path;
+        if (row.route.operation.method != method) continue;
+        Response response = row.route.answer({request, std::move(*names)});
         if (method == "GET") heed_conditions(request, response);
         return response;
     }

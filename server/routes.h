@@ -13,7 +13,7 @@
 #include "server/fits.h"
 #include "server/message.h"
 #include "server/route.h"
-#include "server/service.h"
+#include "server/about.h"
 #include "server/store.h"
 
 namespace brdfit::server {
@@ -23,29 +23,30 @@ inline constexpr std::size_t kLargestBody = std::size_t{32} << 20;
 
 class Routes {
 public:
-    Routes(const kernels::Catalogue& catalogue, JobStore& store, Compute& compute, const std::stop_token& stop);
+    /// largest_body: [bytes] of a request, to be told.
+    Routes(const kernels::Catalogue& catalogue, JobStore& store, Compute& compute, const std::stop_token& stop,
+           std::size_t largest_body = kLargestBody);
     Routes(const Routes&) = delete;
     Routes& operator=(const Routes&) = delete;
 
     /// Never throws: what goes wrong is a problem+json answer, and a line in the log.
     [[nodiscard]] Response handle(const Request& request) const;
 
-    /// A problem as an answer, with the headers that belong to it.
-    [[nodiscard]] Response refusal(const api::Problem& problem, const Request& request) const;
-    /// Whether POST on this path takes a body.
-    [[nodiscard]] bool takes_body(const std::string& path) const;
-
 private:
-    /// Content types that a POST on this path accepts, for Accept-Post; empty where nothing is posted.
-    [[nodiscard]] std::string accepted_types(const std::string& path) const;
+    struct Row {
+        Route route;
+        std::vector<std::string> parts;  ///< of the path's template
+    };
+    /// The problem as an answer, with what this resource accepts and allows.
+    [[nodiscard]] Response refusal(const api::Problem& problem, const Request& request) const;
     /// route: set to the template of the path as soon as that is known.
     [[nodiscard]] Response answer(const Request& request, std::string& route) const;
     [[nodiscard]] Response dispatch(const Request& request, std::string& route) const;
 
     Fits fits_;
     Datasets datasets_;
-    Service service_;
-    std::vector<Route> table_;
+    About about_;
+    std::vector<Row> table_;
 };
 
 }  // namespace brdfit::server

@@ -72,14 +72,10 @@ private:
     std::vector<kernels::SelfTest> found_;
 };
 
-bool is_loopback(const std::string& host) { return host == "localhost" || host == "::1" || host.starts_with("127."); }
-
 }  // namespace
 
 void serve(const ServeOptions& options) {
-    if (!is_loopback(options.host))
-        throw std::runtime_error("the service has no authentication yet: it binds loopback addresses only, not " +
-                                 options.host);
+    set_log_format(options.log_format);
     sigset_t signals;
     sigemptyset(&signals);
     sigaddset(&signals, SIGTERM);
@@ -96,8 +92,8 @@ void serve(const ServeOptions& options) {
     std::promise<std::vector<kernels::SelfTest>> self_tests;
     LocalCompute compute(catalogue, fitter, self_tests.get_future().share());
     const LocalWorkers workers(catalogue, fitter, *store, 8);
-    const Routes routes(catalogue, *store, compute, stop.get_token());
-    HttpServer http(routes);
+    const Routes routes(catalogue, *store, compute, stop.get_token(), options.http.limits.largest_body);
+    HttpServer http(routes, options.http);
     const int port = http.bind(options.host, options.port);  // a taken port is told before the compiler runs
     // Fits are possible when one precision is proven; the other is while the first requests come.
     SelfTester tester(engine, catalogue.families());

@@ -1,4 +1,4 @@
-#include "server/service.h"
+#include "server/about.h"
 
 #include <algorithm>
 
@@ -55,11 +55,11 @@ std::string url_of(const Request& request) {
 
 }  // namespace
 
-std::vector<Route> Service::routes() {
+std::vector<Route> About::routes() {
     using namespace api;
     using In = Parameter::In;
     namespace s = api::schema;
-    const auto call = [this](Response (Service::*member)(const Call&)) {
+    const auto call = [this](Response (About::*member)(const Call&)) {
         return [this, member](const Call& c) { return (this->*member)(c); };
     };
     // A resource without parameters.
@@ -80,7 +80,7 @@ std::vector<Route> Service::routes() {
         op.answers = {{200, "17 significant digits, 9 in single precision", {{kJson, s::named("Values")}}}};
         op.problems = {"invalid-json", "too-large", "unsupported-media-type", "invalid-request", "unavailable",
                        "unfit-device"};
-        routes.push_back({std::move(op), call(&Service::evaluate)});
+        routes.push_back({std::move(op), call(&About::evaluate)});
     }
     {
         Operation op{"GET", "/v1/models", "listModels", "Models", "All models: parameters, bounds, formula, source"};
@@ -92,7 +92,7 @@ std::vector<Route> Service::routes() {
         op.parameters = {{In::path, "name", "of the model", s::named("ModelName"), "ward"}};
         op.answers = {{200, "the model", {{kJson, s::named("Model")}}}};
         op.problems = {"unknown-model"};
-        routes.push_back({std::move(op), call(&Service::model)});
+        routes.push_back({std::move(op), call(&About::model)});
     }
     {
         Operation op{"GET", "/v1", "getService", "Service", "Version, device, what its self-tests found, limits"};
@@ -112,13 +112,13 @@ std::vector<Route> Service::routes() {
         op.answers = {{200, "they are", {{kJson, s::named("Ready")}}},
                       {503, "they are not",
                        {{kJson, s::named("Ready")}, {"application/problem+json", s::named("Problem")}}}};
-        routes.push_back({std::move(op), call(&Service::ready)});
+        routes.push_back({std::move(op), call(&About::ready)});
     }
     {
         Operation op{"GET", "/", "getIndex", "Service", "Where to go: a page, or a map of links, by Accept"};
         op.answers = {{200, "links", {{kJson, s::named("Links")}, {kHtml, s::text()}}}};
         op.problems = {"not-acceptable"};
-        routes.push_back({std::move(op), call(&Service::index)});
+        routes.push_back({std::move(op), call(&About::index)});
     }
     {
         Operation op{"GET", "/openapi.json", "getOpenApi", "Service", "This document"};
@@ -140,12 +140,18 @@ std::vector<Route> Service::routes() {
     return routes;
 }
 
-void Service::publish(std::span<const api::Operation* const> operations) {
+std::vector<api::Operation> About::elsewhere() {
+    api::Operation metrics{"GET", "/metrics", "getMetrics", "Service", "Counters and histograms for Prometheus"};
+    metrics.answers = {{200, "Prometheus' text", {{"text/plain", api::schema::text()}}}};
+    return {metrics};
+}
+
+void About::publish(std::span<const api::Operation* const> operations) {
     openapi_ = api::openapi_json(operations, catalogue_);
     docs_ = api::docs_html(operations, catalogue_);
 }
 
-Response Service::index(const Call& call) {
+Response About::index(const Call& call) {
     refuse_query(call.request);
     Response response = accepted(call.request, {kJson, kHtml}) == kHtml ? page(api::index_html(url_of(call.request)))
                                                                         : json(api::links_json());
@@ -153,7 +159,7 @@ Response Service::index(const Call& call) {
     return response;
 }
 
-Response Service::model(const Call& call) {
+Response About::model(const Call& call) {
     refuse_query(call.request);
     const kernels::Family* family = catalogue_.find(call.path[0]);
     if (family == nullptr)
@@ -162,7 +168,7 @@ Response Service::model(const Call& call) {
     return json(api::to_json(*family));
 }
 
-Response Service::evaluate(const Call& call) {
+Response About::evaluate(const Call& call) {
     refuse_query(call.request);
     (void)body_type(call.request, {kJson});
     const api::EvaluateRequest request = api::read_evaluate_request(call.request.body, catalogue_);
@@ -174,7 +180,7 @@ Response Service::evaluate(const Call& call) {
     return json(compute_.evaluate(call.request.body));
 }
 
-Response Service::ready(const Call& call) {
+Response About::ready(const Call& call) {
     refuse_query(call.request);
     if (stop_.stop_requested()) throw Refusal({problem_type("stopping"), "the service is stopping", {}});
     const std::vector<kernels::SelfTest> tests = compute_.self_tests();

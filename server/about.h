@@ -11,13 +11,15 @@
 
 namespace brdfit::server {
 
-class Service {
+class About {
 public:
-    Service(const kernels::Catalogue& catalogue, Compute& compute, std::size_t largest_body, std::stop_token stop)
+    About(const kernels::Catalogue& catalogue, Compute& compute, std::size_t largest_body, std::stop_token stop)
         : catalogue_(catalogue), compute_(compute), largest_body_(largest_body), stop_(std::move(stop)) {}
 
     /// They refer to this object.
     [[nodiscard]] std::vector<Route> routes();
+    /// What is answered before requests come to the table.
+    [[nodiscard]] static std::vector<api::Operation> elsewhere();
     /// The documents of the whole table. To be called once, before requests come.
     void publish(std::span<const api::Operation* const> operations);
 
