@@ -348,8 +348,9 @@ Response Fits::post(const Call& call) {
         case Outcome::reused:
         case Outcome::replayed: break;
     }
+    // While it is computed; what only reads needs none.
+    if (submitted.outcome == Outcome::created || job.idempotency) store_.sync();
     const Job ended = wait(request, submitted.id, time, false);
-    store_.sync();
     Response response;
     if (has_ended(ended.state)) {
         response = outcome(request, ended);
