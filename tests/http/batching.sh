@@ -18,7 +18,7 @@ with . >"$work/many"
 # An answer, or its channel 4 alone, without ids, times and the device.
 numbers() { normalised "$1" | jq -S 'del(.device)'; }
 channel() { normalised "$1" | jq -S --argjson i "$2" '.channels[$i] | del(.fits[].links)'; }
-ask() { curl -sS -m 300 -H 'Content-Type: application/json' --data-binary "@$work/$1" -o "$2" "$url/v1/fits"; }
+ask() { curl -sS -m 300 -H 'Content-Type: application/json' -H "$patient" --data-binary "@$work/$1" -o "$2" "$url/v1/fits"; }
 
 for device in basic pthread; do
     export POCL_DEVICES=$device
