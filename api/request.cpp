@@ -400,4 +400,17 @@ FitRequest read_fit_request_csv(std::string_view body, const Query& query, const
     return request;
 }
 
+std::string job_text(std::string_view json_body) { return json{{"json", json_body}}.dump(); }
+
+std::string job_text_csv(std::string_view csv_body, const Query& query) {
+    return json{{"csv", csv_body}, {"query", query}}.dump();
+}
+
+FitRequest read_job(std::string_view text, std::string_view /*dataset*/, const kernels::Catalogue& catalogue) {
+    const json document = json::parse(text);
+    if (document.contains("json")) return read_fit_request(document["json"].get_ref<const std::string&>(), catalogue);
+    return read_fit_request_csv(document.at("csv").get_ref<const std::string&>(), document.at("query").get<Query>(),
+                                catalogue);
+}
+
 }  // namespace brdfit::api

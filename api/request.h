@@ -31,4 +31,11 @@ FitRequest read_fit_request(std::string_view body, const kernels::Catalogue& cat
 /// commas), unit, name, and the options by their names. Throws Refusal (422), with the line for each row refused.
 FitRequest read_fit_request_csv(std::string_view body, const Query& query, const kernels::Catalogue& catalogue);
 
+/// Either of them as one text, for whoever fits it later: read_job() makes the same request of it. The request has been
+/// read without a refusal.
+std::string job_text(std::string_view json_body);
+std::string job_text_csv(std::string_view csv_body, const Query& query);
+/// `dataset`: the body of a stored dataset that the request refers to, or empty. Throws Refusal.
+FitRequest read_job(std::string_view text, std::string_view dataset, const kernels::Catalogue& catalogue);
+
 }  // namespace brdfit::api

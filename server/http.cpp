@@ -18,6 +18,7 @@
 #include <spdlog/spdlog.h>
 
 #include "api/problem.h"
+#include "server/store.h"
 
 namespace brdfit::server {
 namespace {

@@ -8,7 +8,7 @@
 #include <spdlog/spdlog.h>
 #include <boost/algorithm/string/split.hpp>
 
-#include "api/evaluate.h"
+#include "api/archive.h"
 #include "api/plot.h"
 #include "api/problem.h"
 #include "api/response.h"
@@ -83,6 +83,9 @@ Response Routes::handle(const Request& request) const {
         if (refusal.problem().status == 405)
             response.headers["Allow"] = accepted_types(request.path).empty() ? "GET, HEAD" : "POST";
         return response;
+    } catch (const StoreError& error) {
+        spdlog::error("{} {} request {}: {}", request.method, request.path, request.id, error.what());
+        return problem_response({503, "store", "the service cannot keep jobs at the moment", {}}, request);
     } catch (const std::exception& error) {
         spdlog::error("{} {} request {}: {}", request.method, request.path, request.id, error.what());
         return problem_response({500, "internal", "an error of the service; it has been logged", {}}, request);
@@ -112,7 +115,7 @@ Response Routes::dispatch(const Request& request) const {
     if (is({"health", "live"})) response = {200, "application/json", "{\"status\":\"live\"}\n", {}};
     else if (is({"health", "ready"})) response = get_ready();
     else if (is({"v1"}) || is({""}))
-        response.body = api::service_json(fitter_.engine().device(), self_tests_.get(), kLargestBody);
+        response.body = api::service_json(compute_.device(), compute_.self_tests(), kLargestBody);
     else if (is({"v1", "models"})) response.body = api::to_json(catalogue_);
     else if (is({"v1", "models", "*"})) response = get_models(parts[2]);
     else if (is({"v1", "fits", "*"}) || is({"v1", "fits", "*", "result"})) response = get_result(parts[2]);
@@ -122,63 +125,66 @@ Response Routes::dispatch(const Request& request) const {
     return response;
 }
 
-kernels::Precision Routes::proven(std::optional<kernels::Precision> wanted, const std::string& pointer) const {
-    const kernels::Engine& engine = fitter_.engine();
-    if (!engine.usable())
+void Routes::require_proven(std::optional<kernels::Precision> precision) const {
+    if (!compute_.usable()) {
+        (void)compute_.device();  // refuses if nobody computes
         throw Refusal({503, "unfit-device", "the device failed its self-test; /health/ready tells where", {}});
-    const kernels::Precision best = engine.best_precision();
-    const kernels::Precision precision = wanted.value_or(best);
-    if (precision != best) self_tests_.wait();
-    if (const auto reason = engine.refusal(precision))
+    }
+    if (!precision) return;
+    const std::string pointer = "/options/precision";
+    if (const auto reason = compute_.refusal(*precision))
         throw Refusal({422, "invalid-request", pointer + ": " + *reason, {{pointer, "unsupported", *reason, {}, {}}}});
-    return precision;
 }
 
 Response Routes::post_fit(const Request& request) const {
     const std::string type = media_type(request.content_type);
     api::FitRequest fit;
-    if (type == kCsv) fit = api::read_fit_request_csv(request.body, request.query, catalogue_);
-    else if (type == kJson) {
+    NewJob job;
+    if (type == kCsv) {
+        fit = api::read_fit_request_csv(request.body, request.query, catalogue_);
+        job.request = api::job_text_csv(request.body, request.query);
+    } else if (type == kJson) {
         if (!request.query.empty())
             throw invalid_query(request.query.begin()->first, "unknown_key",
                                 "with a JSON body there are no query parameters; options stand in the body");
         fit = api::read_fit_request(request.body, catalogue_);
+        job.request = api::job_text(request.body);
     } else {
         throw Refusal({415, "unsupported-media-type", "the body must be " + accepted_types(request.path), {}});
     }
-    (void)proven(fit.options.precision, "/options/precision");
-    auto finished = std::make_shared<Job>();
-    finished->id = make_job_id();
-    finished->report = fitter_.fit(fit.dataset, fit.models, fit.options, stop_);
+    require_proven(fit.options.precision);
     if (stop_.stop_requested()) throw Refusal({503, "stopping", "the service is stopping", {}});
-    for (const optim::ChannelReport& channel : finished->report.channels) {
-        finished->succeeded = finished->succeeded || !channel.fits.empty();
-        for (const optim::Failure& failure : channel.failures)
-            spdlog::warn("fit {} channel {} model {}: {}: {}", finished->id, channel.channel.name, failure.model,
-                         failure.reason, failure.detail);
+    job.id = make_job_id();
+    job.priority = Priority::interactive;
+    Changes::Watch watch(store_.changes(), job.id);
+    store_.submit(job);
+    store_.sync();  // while it is computed
+    constexpr std::chrono::milliseconds kLookAgain{1000};
+    std::optional<Job> found = store_.find(job.id);
+    while (found && !has_ended(found->state)) {
+        watch.wait(kLookAgain);
+        found = store_.find(job.id);
+        if (store_.changes().closed() && found && !has_ended(found->state))
+            throw Refusal({503, "stopping", "the service is stopping; the fit goes on when it is started again", {}});
     }
-    finished->result = api::to_json(finished->report, finished->id);
-    store_.put(finished);
-    return {200, "application/json", finished->result, {{"Content-Location", "/v1/fits/" + finished->id + "/result"}}};
+    const auto result = store_.result(job.id);
+    if (!result) throw std::runtime_error("fit " + job.id + " failed: " + (found ? found->error : "it was removed"));
+    return {200, "application/json", *result, {{"Content-Location", "/v1/fits/" + job.id + "/result"}}};
 }
 
 Response Routes::post_evaluate(const Request& request) const {
     if (media_type(request.content_type) != kJson)
         throw Refusal({415, "unsupported-media-type", "the body must be " + accepted_types(request.path), {}});
-    const api::EvaluateRequest evaluate = api::read_evaluate_request(request.body, catalogue_);
-    kernels::Engine& engine = fitter_.engine();
-    const kernels::Precision precision = proven(evaluate.precision, "/precision");
-    const kernels::Values values = kernels::evaluate(engine, *evaluate.model, precision, evaluate.parameters,
-                                                     evaluate.directions, evaluate.gradient);
     Response response;
-    response.body = api::to_json(evaluate, values, precision);
+    response.body = compute_.evaluate(request.body);
     return response;
 }
 
 Response Routes::get_ready() const {
     if (stop_.stop_requested()) throw Refusal({503, "stopping", "the service is stopping", {}});
-    const std::vector<kernels::SelfTest>& self_tests = self_tests_.get();
-    const bool ready = fitter_.engine().usable();
+    const std::vector<kernels::SelfTest> self_tests = compute_.self_tests();
+    store_.probe();
+    const bool ready = compute_.usable();
     Response response;
     response.status = ready ? 200 : 503;
     response.body = api::ready_json(self_tests, ready);
@@ -194,15 +200,17 @@ Response Routes::get_models(const std::string& name) const {
     return response;
 }
 
-std::shared_ptr<const Job> Routes::job(const std::string& id) const {
-    auto found = store_.find(id);
-    if (!found) throw Refusal({404, "unknown-fit", "there is no fit of that id, or no longer", {}});
-    return found;
-}
+namespace {
+
+Refusal unknown_fit() { return Refusal({404, "unknown-fit", "there is no fit of that id, or no longer", {}}); }
+
+}  // namespace
 
 Response Routes::get_result(const std::string& id) const {
+    auto result = store_.result(id);
+    if (!result) throw unknown_fit();
     Response response;
-    response.body = job(id)->result;
+    response.body = std::move(*result);
     return response;
 }
 
@@ -213,7 +221,8 @@ Response Routes::get_plot(const std::string& id, const std::string& file, const 
     };
     static constexpr std::array<Kind, 3> kKinds{
         {{"brdf.svg", api::plot_brdf}, {"residual.svg", api::plot_residual}, {"summary.svg", api::plot_summary}}};
-    const auto finished = job(id);
+    const auto figures = store_.figures(id);
+    if (!figures) throw unknown_fit();
     const auto kind = std::find_if(kKinds.begin(), kKinds.end(), [&](const Kind& k) { return k.file == file; });
     if (kind == kKinds.end())
         throw Refusal(
@@ -222,7 +231,7 @@ Response Routes::get_plot(const std::string& id, const std::string& file, const 
     try {
         return {200,
                 "image/svg+xml",
-                kind->draw(finished->report, options),
+                kind->draw(api::read_archive(*figures), options),
                 {{"Content-Security-Policy", "default-src 'none'; style-src 'unsafe-inline'"}}};
     } catch (const std::invalid_argument& error) {  // the plot's own words: they name the valid values
         throw Refusal({422, "invalid-request", error.what(), {}});

@@ -2,9 +2,7 @@
 #pragma once
 
 #include <cstddef>
-#include <future>
 #include <map>
-#include <memory>
 #include <optional>
 #include <stop_token>
 #include <string>
@@ -13,9 +11,9 @@
 #include "api/problem.h"
 #include "api/request.h"
 #include "kernels/model.h"
-#include "kernels/selftest.h"
-#include "optim/fit.h"
-#include "server/job.h"
+#include "kernels/precision.h"
+#include "server/compute.h"
+#include "server/store.h"
 
 namespace brdfit::server {
 
@@ -43,15 +41,8 @@ std::string accepted_types(const std::string& path);
 
 class Routes {
 public:
-    /// self_tests: what they found. By the first request those of the best precision have ended; who asks for another,
-    /// or for what they found, waits for all.
-    Routes(const kernels::Catalogue& catalogue, optim::Fitter& fitter, JobStore& store,
-           std::shared_future<std::vector<kernels::SelfTest>> self_tests, std::stop_token stop)
-        : catalogue_(catalogue),
-          fitter_(fitter),
-          store_(store),
-          self_tests_(std::move(self_tests)),
-          stop_(std::move(stop)) {}
+    Routes(const kernels::Catalogue& catalogue, JobStore& store, Compute& compute, std::stop_token stop)
+        : catalogue_(catalogue), store_(store), compute_(compute), stop_(std::move(stop)) {}
 
     /// Never throws: what goes wrong is a problem+json answer, and a line in the log.
     [[nodiscard]] Response handle(const Request& request) const;
@@ -61,17 +52,15 @@ private:
     [[nodiscard]] Response post_fit(const Request& request) const;
     [[nodiscard]] Response post_evaluate(const Request& request) const;
     [[nodiscard]] Response get_ready() const;
-    /// The precision asked for, or the best; refused where it may not be used.
-    [[nodiscard]] kernels::Precision proven(std::optional<kernels::Precision> wanted, const std::string& pointer) const;
+    /// Refuses a precision that may not be used.
+    void require_proven(std::optional<kernels::Precision> precision) const;
     [[nodiscard]] Response get_models(const std::string& name) const;
     [[nodiscard]] Response get_result(const std::string& id) const;
     [[nodiscard]] Response get_plot(const std::string& id, const std::string& file, const api::Query& query) const;
-    [[nodiscard]] std::shared_ptr<const Job> job(const std::string& id) const;
 
     const kernels::Catalogue& catalogue_;
-    optim::Fitter& fitter_;
     JobStore& store_;
-    std::shared_future<std::vector<kernels::SelfTest>> self_tests_;
+    Compute& compute_;
     std::stop_token stop_;
 };
 
