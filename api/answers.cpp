@@ -140,7 +140,21 @@ Json fit_result() {
 // ---- jobs ----
 
 Json fit_status() {
-    const Json problem_members = object({{"type", text()}, {"title", text()}, {"status", count()}, {"detail", text()}});
+    const Json problem_members = object({{"type", text()},
+                                         {"title", text()},
+                                         {"status", whole(400, 599)},
+                                         {"detail", text()},
+                                         {"errors", array(Json::object()), "", false}});
+    const Json best = object({{"channel", text()},
+                              {"model", text()},
+                              {"relative_loss", kNumberOrNull},
+                              {"done", boolean()}});
+    const Json progress = object({{"fraction", number(), "of the work"},
+                                  {"models_done", count()},
+                                  {"models", count(), "one of each channel"},
+                                  {"evaluations", count()},
+                                  {"evaluations_per_s", number()},
+                                  {"best", array(best), "what each has reached so far, at most 100"}});
     return object({
         {"id", text()},
         {"state", named("FitState")},
@@ -148,7 +162,7 @@ Json fit_status() {
         {"dataset", named("DatasetId"), "of a stored dataset, where the request names one", false},
         {"queue_position", count(), "fits that are before it, while it is queued", false},
         {"attempt", count(), "how often it was begun"},
-        {"progress", map_of(Json::object()), "as the last progress event told it", false},
+        {"progress", progress, "as the last progress event told it", false},
         {"created", kTime},
         {"started", kTime, "the last attempt", false},
         {"ended", kTime, "", false},

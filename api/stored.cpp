@@ -32,7 +32,10 @@ Json status_json(const FitStatus& status) {
     json["created"] = status.created;
     if (status.started) json["started"] = *status.started;
     if (status.ended) json["ended"] = *status.ended;
-    if (Json error = object_of(status.error); !error.is_null()) json["error"] = std::move(error);
+    if (Json error = object_of(status.error); !error.is_null()) {
+        for (const char* of_a_request : {"instance", "request_id"}) error.erase(of_a_request);
+        json["error"] = std::move(error);
+    }
     json["links"] = fit_links(status.id);
     json["links"]["events"] = self + "/events";
     if (!status.done) json["links"]["cancel"] = self + "/cancel";

@@ -551,7 +551,7 @@ void Fitter::warm_up(const kernels::Family& family) {
 }
 
 Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& models, const FitOptions& options,
-                   std::stop_token stop) {
+                   std::stop_token stop, Progress* progress) {
     Report report{dataset.name,
                   dataset.unit,
                   options.seed,
@@ -574,8 +574,15 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
         if (directions.empty() || !same_directions(channel, directions.back().samples))
             directions.emplace_back(channel);
         for (const ModelRequest& model : models) {
-            const Work work{engine_, channel, directions.back(), dataset.unit, model, options, control};
-            tasks.emplace_back([work] { return try_fit(work); });
+            Work work{engine_, channel, directions.back(), dataset.unit, model, options, control};
+            if (progress != nullptr) work.control.progress = &progress->add(channel.name, model.family->name);
+            tasks.emplace_back([work] {
+                Outcome outcome = try_fit(work);
+                if (work.control.progress != nullptr)
+                    work.control.progress->finish(outcome.fit ? std::optional(outcome.fit->relative_loss)
+                                                              : std::nullopt);
+                return outcome;
+            });
             futures.push_back(tasks.back().get_future());
         }
     }

@@ -183,6 +183,7 @@ Response About::evaluate(const Call& call) {
 Response About::ready(const Call& call) {
     refuse_query(call.request);
     if (stop_.stop_requested()) throw Refusal({problem_type("stopping"), "the service is stopping", {}});
+    store_.probe();
     const std::vector<kernels::SelfTest> tests = compute_.self_tests();
     const bool is_ready = compute_.usable();
     Response response = json(api::ready_json(tests, is_ready));

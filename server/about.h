@@ -8,13 +8,15 @@
 #include "kernels/model.h"
 #include "server/compute.h"
 #include "server/route.h"
+#include "server/store.h"
 
 namespace brdfit::server {
 
 class About {
 public:
-    About(const kernels::Catalogue& catalogue, Compute& compute, std::size_t largest_body, std::stop_token stop)
-        : catalogue_(catalogue), compute_(compute), largest_body_(largest_body), stop_(std::move(stop)) {}
+    About(const kernels::Catalogue& catalogue, JobStore& store, Compute& compute, std::size_t largest_body,
+          std::stop_token stop)
+        : catalogue_(catalogue), store_(store), compute_(compute), largest_body_(largest_body), stop_(std::move(stop)) {}
 
     /// They refer to this object.
     [[nodiscard]] std::vector<Route> routes();
@@ -30,6 +32,7 @@ private:
     [[nodiscard]] Response ready(const Call& call);
 
     const kernels::Catalogue& catalogue_;
+    JobStore& store_;
     Compute& compute_;
     std::size_t largest_body_;
     std::stop_token stop_;

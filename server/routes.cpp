@@ -48,7 +48,7 @@ void heed_conditions(const Request& request, Response& response) {
 
 Routes::Routes(const kernels::Catalogue& catalogue, JobStore& store, Compute& compute, const std::stop_token& stop,
                std::size_t largest_body)
-    : fits_(catalogue, store, compute, stop), datasets_(store), about_(catalogue, compute, largest_body, stop) {
+    : fits_(catalogue, store, compute, stop), datasets_(store), about_(catalogue, store, compute, largest_body, stop) {
     for (auto& routes : {fits_.routes(), datasets_.routes(), about_.routes()})
         for (const Route& route : routes) table_.push_back({route, parts_of(route.operation.path)});
     std::vector<const api::Operation*> operations;

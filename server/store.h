@@ -140,6 +140,9 @@ struct Event {
 
 // ---- the worker's side ----
 
+/// What Changes are told when there is something new to claim or to cancel.
+inline constexpr const char* kQueue = "";
+
 /// After so many attempts a job is given up.
 inline constexpr unsigned kMostAttempts = 3;
 
@@ -172,10 +175,11 @@ struct Beat {
 };
 
 struct Ending {
-    JobState state = JobState::succeeded;  ///< an ended one
-    std::string result;                    ///< body of the answer; empty if there is none
-    std::string figures;                   ///< what plots are drawn from (api/archive.h); empty if there is none
-    std::string error;                     ///< JSON of a problem, for `failed`
+    JobState state = JobState::succeeded;    ///< an ended one
+    std::string result;                      ///< body of the answer; empty if there is none
+    std::string figures;                     ///< what plots are drawn from (api/archive.h); empty if there is none
+    std::string error;                       ///< JSON of a problem, for `failed`
+    std::vector<std::string> models_done{};  ///< bodies of events that come before the last
 };
 
 // ---- looking after it ----
@@ -212,7 +216,8 @@ public:
     /// Returns when everything committed before, by anyone, outlasts a loss of power. Call it before an answer says
     /// that something was taken or removed; many callers share one write.
     virtual void sync() = 0;
-    /// Who waits for a job's events waits here; woken for what this process's workers do, see Changes.
+    /// Who waits for a job's events waits here by its id, who waits for something to claim or to cancel by kQueue. See
+    /// Changes.
     Changes& changes() { return changes_; }
 
     // ---- datasets ----

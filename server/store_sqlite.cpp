@@ -623,6 +623,7 @@ Submitted SqliteStore::submit(const NewJob& job) {
                 .run();
             Query(c, "INSERT INTO request(job, body) VALUES(?, ?)", job.id, Blob{job.request}).run();
             add_event(c, job.id, EventKind::state, name_of(JobState::queued), at);
+            changed_->push_back(kQueue);
         }
         if (job.idempotency)
             Query(c, "INSERT OR REPLACE INTO idempotency(tenant, key, body_sha256, job, expires) VALUES(?, ?, ?, ?, ?)",
@@ -703,6 +704,7 @@ std::optional<JobState> SqliteStore::request_cancel(const std::string& id) {
             state = JobState::cancelling;
             Query(c, "UPDATE job SET state = ?, cancel_at = ? WHERE id = ?", code(state), at, id).run();
             add_event(c, id, EventKind::state, name_of(state), at);
+            changed_->push_back(kQueue);
         }
         return state;
     });
@@ -839,6 +841,8 @@ bool SqliteStore::finish(const Lease& lease, const Ending& ending) {
         };
         insert("INSERT INTO result(job, body) VALUES(?, ?)", ending.result);
         insert("INSERT INTO figures(job, body) VALUES(?, ?)", ending.figures);
+        for (const std::string& model : ending.models_done)
+            add_event(c, lease.job, EventKind::model_done, model, now(c));
         end(c, lease.job, ending.state, ending.error, now(c));
         return true;
     });

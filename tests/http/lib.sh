@@ -49,11 +49,12 @@ finish() {
     exit $((failed > 0))
 }
 
-# start_server [option...]: sets url, server (its process) and log; false if it ends or does not answer in two minutes,
+# start_server [option...]: sets url, server (its process), store and log; false if it ends or does not answer in two minutes,
 # which a machine may need that has not yet compiled the kernels.
 start_server() {
     log=$work/server.${#servers[@]}.log
-    "$BRDFIT" serve --port 0 "$@" >"$log" 2>&1 &
+    store=${store_of_all:-$work/store.${#servers[@]}.db} # its own, unless a test says otherwise
+    "$BRDFIT" serve --store "$store" --port 0 "$@" >"$log" 2>&1 &
     server=$!
     servers+=("$server")
     local end=$((SECONDS + 120))

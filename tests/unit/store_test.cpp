@@ -1,4 +1,5 @@
 // What every back end of the job store promises; below, what SQLite's promises besides.
+#include <poll.h>
 #include <sys/resource.h>
 #include <sys/wait.h>
 #include <unistd.h>
@@ -714,6 +715,11 @@ public:
         ::close(ends[1]);
         from_ = ends[0];
     }
+    /// Waits until it has written something; false if it does not in ten seconds.
+    [[nodiscard]] bool has_begun() const {
+        pollfd descriptor{from_, POLLIN, 0};
+        return ::poll(&descriptor, 1, 10'000) == 1;
+    }
     /// Kills it; the lines it wrote.
     std::vector<std::string> kill() {
         ::kill(id_, SIGKILL);
@@ -755,8 +761,11 @@ TEST_P(StoreTest, ProcessesThatAreKilledLoseNothingAndDoNothingTwice) {
         const std::string owner = make_job_id();
         while (true) {
             const auto claimed = mine.claim(owner, {50ms, true, true, false});
-            mine.tend();
-            if (!claimed) continue;
+            if (!claimed) {
+                mine.tend();
+                std::this_thread::sleep_for(5ms);
+                continue;
+            }
             if (claimed->request != "request") ::_exit(2);
             if (mine.finish(claimed->lease, {JobState::succeeded, claimed->lease.job, "", ""}))
                 report(to, claimed->lease.job);
@@ -769,7 +778,11 @@ TEST_P(StoreTest, ProcessesThatAreKilledLoseNothingAndDoNothingTwice) {
     for (int cycle = 0; cycle < cycles; ++cycle) {
         Child pusher(GetParam(), folder.path, push), first(GetParam(), folder.path, work),
             second(GetParam(), folder.path, work);
-        std::this_thread::sleep_for(std::chrono::milliseconds(20 + random() % 60));
+        ASSERT_TRUE(pusher.has_begun());
+        if (cycle % 2 == 0) {
+            ASSERT_TRUE(first.has_begun());
+        }
+        std::this_thread::sleep_for(std::chrono::milliseconds(random() % 60));
         for (Child* child : {&first, &pusher, &second}) {
             for (const std::string& line : child->kill()) {
                 if (child == &pusher) acknowledged.insert(line);
@@ -790,8 +803,11 @@ TEST_P(StoreTest, ProcessesThatAreKilledLoseNothingAndDoNothingTwice) {
         const auto job = store->find(id);
         ASSERT_TRUE(job) << "an acknowledged job is lost";
         // Whoever was killed three times over it has given it up; that is told.
-        if (job->state == JobState::failed) EXPECT_THAT(job->error, HasSubstr("poison-job"));
-        else EXPECT_EQ(store->result(id), id);
+        if (job->state == JobState::failed) {
+            EXPECT_THAT(job->error, HasSubstr("poison-job"));
+        } else {
+            EXPECT_EQ(store->result(id), id);
+        }
     }
     for (const std::string& id : finished) EXPECT_EQ(store->result(id), id);
 }
