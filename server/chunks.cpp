@@ -8,6 +8,8 @@ namespace {
 
 constexpr std::size_t kLongestLine = 1024;
 constexpr std::size_t kLongestTrailer = 8192;
+/// From here on memory is reserved for the largest body: what is not written to takes none.
+constexpr std::size_t kLargeBody = std::size_t{1} << 20;
 
 }  // namespace
 
@@ -27,6 +29,7 @@ ChunkReader::State ChunkReader::read(std::string_view& input, std::string& body,
     while (state_ == State::more && !input.empty()) {
         if (part_ == Part::data) {
             const std::size_t taken = std::min(left_, input.size());
+            if (body.size() + taken > kLargeBody) body.reserve(largest);  // twice as large each time would be copied
             body += input.substr(0, taken);
             input.remove_prefix(taken);
             left_ -= taken;

@@ -226,6 +226,7 @@ private:
     void expire(Connection& c);
     void sweep();
     void count_held(Connection& c);
+    /// Half of the largest body is room for all; beyond that the oldest one alone goes on.
     [[nodiscard]] bool must_pause(const Connection& c) const;
     void resume();
     void begin_stop();
@@ -593,8 +594,9 @@ void Listener::Loop::count_held(Connection& c) {
 }
 
 bool Listener::Loop::must_pause(const Connection& c) const {
-    if (bodies_held_ <= limits_.largest_body) return false;
-    return bodies_answered_ > limits_.largest_body || *bodies_.begin() != c.id;
+    const std::size_t most = limits_.largest_body / 2;
+    if (bodies_held_ <= most) return false;
+    return bodies_answered_ > most || *bodies_.begin() != c.id;
 }
 
 void Listener::Loop::resume() {
