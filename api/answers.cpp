@@ -145,10 +145,8 @@ Json fit_status() {
                                          {"status", whole(400, 599)},
                                          {"detail", text()},
                                          {"errors", array(Json::object()), "", false}});
-    const Json best = object({{"channel", text()},
-                              {"model", text()},
-                              {"relative_loss", kNumberOrNull},
-                              {"done", boolean()}});
+    const Json best =
+        object({{"channel", text()}, {"model", text()}, {"relative_loss", kNumberOrNull}, {"done", boolean()}});
     const Json progress = object({{"fraction", number(), "of the work"},
                                   {"models_done", count()},
                                   {"models", count(), "one of each channel"},

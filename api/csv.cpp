@@ -119,7 +119,8 @@ Header read_header(const std::vector<std::string>& names, std::size_t line, Erro
         const auto rule =
             std::find_if(kRules.begin(), kRules.end(), [&](const auto& r) { return r.name == trimmed(names[i]); });
         if (rule == kRules.end()) {
-            errors.add(line, i + 1, "unknown_key", "unknown column \"" + names[i].substr(0, 40) + "\"; valid are: " + valid);
+            errors.add(line, i + 1, "unknown_key",
+                       "unknown column \"" + names[i].substr(0, 40) + "\"; valid are: " + valid);
             continue;
         }
         std::size_t& place = header[static_cast<std::size_t>(rule - kRules.begin())];

@@ -30,7 +30,8 @@ struct Columns {
 
 Field<Columns> column(std::string_view key, bool required, std::string_view doc, std::vector<double> Columns::*to,
                       const Rule& bad) {
-    return {key, required, doc, schema::array(schema::number(bad), 1, kMostRows), [=](const json& v, const Place& p, Columns& out) { out.*to = read_column(v, p, bad); }};
+    return {key, required, doc, schema::array(schema::number(bad), 1, kMostRows),
+            [=](const json& v, const Place& p, Columns& out) { out.*to = read_column(v, p, bad); }};
 }
 
 const std::vector<Field<Columns>> kGeometryFields{

@@ -1,5 +1,5 @@
-/// A request field is declared once: its key, whether it must be there, what it means, what it may hold, how it is read.
-/// Reading, the error texts, the list of valid names and the schema that is published follow from the same row.
+/// A request field is declared once: its key, whether it must be there, what it means, what it may hold, how it is
+/// read. Reading, the error texts, the list of valid names and the schema that is published follow from the same row.
 #pragma once
 
 #include <algorithm>

@@ -16,9 +16,9 @@ using kernels::CountedChars;
 using nlohmann::json;
 
 constexpr std::size_t kDeepest = 16;
-constexpr std::size_t kMostKeys = 1000;                    ///< of an object
-constexpr std::size_t kMostElements = kMostSamples;        ///< of an array
-constexpr std::size_t kMostValues = 7 * kMostSamples;      ///< of all kinds: a sample has six numbers at most
+constexpr std::size_t kMostKeys = 1000;                        ///< of an object
+constexpr std::size_t kMostElements = kMostSamples;            ///< of an array
+constexpr std::size_t kMostValues = 7 * kMostSamples;          ///< of all kinds: a sample has six numbers at most
 constexpr std::size_t kMostContainers = 4 * kMostSamples / 5;  ///< objects and arrays: scans of five samples
 
 /// Builds the document and knows at every moment where it is.
@@ -43,7 +43,8 @@ public:
             refuse("a key stands twice in an object", std::move(error), begin_of_string());
         }
         if (open_.back()->size() == kMostKeys)
-            refuse_size({pointer(), "too_many", "an object has at most " + std::to_string(kMostKeys) + " keys", {}, {}});
+            refuse_size(
+                {pointer(), "too_many", "an object has at most " + std::to_string(kMostKeys) + " keys", {}, {}});
         key_ = name;
         return true;
     }
@@ -92,7 +93,8 @@ private:
     }
     json* put(json value) {
         if (++values_ > kMostValues)
-            refuse_size({place(), "too_many", "a request has at most " + std::to_string(kMostValues) + " values", {}, {}});
+            refuse_size(
+                {place(), "too_many", "a request has at most " + std::to_string(kMostValues) + " values", {}, {}});
         if (open_.empty()) {
             document = std::move(value);
             return &document;
@@ -112,8 +114,11 @@ private:
         if (open_.size() == kDeepest)
             refuse("the document is nested too deeply", {place(), "too_deep", "at most 16 levels", {}, {}}, read - 1);
         if (++containers_ > kMostContainers)
-            refuse_size({place(), "too_many",
-                         "a request has at most " + std::to_string(kMostContainers) + " objects and arrays", {}, {}});
+            refuse_size({place(),
+                         "too_many",
+                         "a request has at most " + std::to_string(kMostContainers) + " objects and arrays",
+                         {},
+                         {}});
         if (!open_.empty())
             path_.push_back(open_.back()->is_array() ? std::to_string(open_.back()->size()) : pointer_part(key_));
         open_.push_back(put(std::move(value)));
@@ -146,7 +151,8 @@ json parse_json(std::string_view text) {
     std::size_t unused = 0;  // of the end, which does not move
     const CountedChars begin(text.data(), builder.read);
     const CountedChars end(text.data() + text.size(), unused);
-    if (!json::sax_parse(begin, end, &builder)) throw Refusal({problem_type("invalid-json"), "the body is not JSON", {}});
+    if (!json::sax_parse(begin, end, &builder))
+        throw Refusal({problem_type("invalid-json"), "the body is not JSON", {}});
     return std::move(builder.document);
 }
 

@@ -80,7 +80,8 @@ Json operation_json(const Operation& operation) {
     for (const Parameter& parameter : operation.parameters) json["parameters"].push_back(parameter_json(parameter));
     if (!operation.bodies.empty())
         json["requestBody"] = {{"required", true}, {"content", content_json(operation.bodies)}};
-    for (const Answer& answer : operation.answers) json["responses"][std::to_string(answer.status)] = answer_json(answer);
+    for (const Answer& answer : operation.answers)
+        json["responses"][std::to_string(answer.status)] = answer_json(answer);
     for (const auto& [status, doc] : problems_of(operation))
         json["responses"][std::to_string(status)] = problem_json(doc);
     json["responses"]["default"] = problem_json("what any request may meet; see the schema's type");
@@ -159,7 +160,9 @@ std::string docs_page(const Json& schemas, std::span<const Operation* const> ope
         tag = operation->tag;
         out += operation_html(*operation);
     }
-    out += "<h2 id=\"problems\">Problems</h2>\n<p>Errors are <code>application/problem+json</code> (RFC 9457).</p>\n<table>\n";
+    out +=
+        "<h2 id=\"problems\">Problems</h2>\n<p>Errors are <code>application/problem+json</code> (RFC "
+        "9457).</p>\n<table>\n";
     for (const ProblemType& type : kProblemTypes)
         out += fmt::format("<tr id=\"{0}\"><td><code>/problems/{0}</code></td><td>{1}</td><td>{2}: {3}</td></tr>\n",
                            html(type.name), type.status, html(type.title), html(type.doc));
@@ -188,13 +191,15 @@ std::string openapi_json(std::span<const Operation* const> operations, const ker
         {"info",
          {{"title", "brdfit"},
           {"version", version()},
-          {"description", "Fits reflectance models to measured scans. Angles are in degrees, BRDF in 1/sr, lengths in "
-                          "micrometres, wavelengths in nm. Changes are additive: expect more members in answers."}}},
+          {"description",
+           "Fits reflectance models to measured scans. Angles are in degrees, BRDF in 1/sr, lengths in "
+           "micrometres, wavelengths in nm. Changes are additive: expect more members in answers."}}},
         {"paths", std::move(paths)},
         {"components",
          {{"schemas", component_schemas(catalogue)},
           {"securitySchemes",
-           {{"key", {{"type", "http"}, {"scheme", "bearer"}, {"description", "where the service asks for API keys"}}}}}}},
+           {{"key",
+             {{"type", "http"}, {"scheme", "bearer"}, {"description", "where the service asks for API keys"}}}}}}},
         {"security", Json::array({Json::object(), {{"key", Json::array()}}})}};
     return document.dump() + "\n";
 }

@@ -121,7 +121,8 @@ std::vector<const ChannelReport*> chosen_channels(const Report& report, const Pl
     for (const double a : angles) angle_names.push_back(fmt::format("{:g}", a));
     for (const double a : options.theta_i_deg) {
         const auto same = [&](double b) { return same_angle(a, b); };
-        if (std::none_of(angles.begin(), angles.end(), same)) refuse("theta_i", "theta_i", fmt::format("{:g}", a), angle_names);
+        if (std::none_of(angles.begin(), angles.end(), same))
+            refuse("theta_i", "theta_i", fmt::format("{:g}", a), angle_names);
     }
     return chosen;
 }
@@ -556,8 +557,7 @@ const std::vector<Field<PlotOptions>> kPlotFields{
      [](const nlohmann::json& v, const Place& p, PlotOptions& out) {
          for (std::size_t i = 0; i < v.size(); ++i) out.theta_i_deg.push_back(read_number(v[i], p).value_or(0));
      }},
-    {"width", false, "of the picture, in pixels",
-     schema::with_default(schema::number(kPlotWidth), PlotOptions{}.width),
+    {"width", false, "of the picture, in pixels", schema::with_default(schema::number(kPlotWidth), PlotOptions{}.width),
      [](const nlohmann::json& v, const Place& p, PlotOptions& out) {
          out.width = read_checked(v, p, kPlotWidth).value_or(out.width);
      }},

@@ -49,8 +49,7 @@ const std::vector<Field<FitOptions>> kOptionFields{
          if (const auto effort = read_choice(v, p, kEfforts)) out.effort = *effort;
      }},
     {"precision", false, "arithmetic of the search; what is reported is computed in double where that may be used",
-     precision_schema(),
-     [](const json& v, const Place& p, FitOptions& out) { out.precision = read_precision(v, p); }},
+     precision_schema(), [](const json& v, const Place& p, FitOptions& out) { out.precision = read_precision(v, p); }},
     {"seed", false, "of the starts; the same seed gives the same result",
      schema::with_default(schema::whole(0, kLargestSeed), kDefaults.seed), read_seed},
     {"time_limit_s", false, "of the whole request, in seconds",
@@ -161,8 +160,7 @@ Field<Columns> column_field(std::string_view key, bool required, std::string_vie
 
 Field<Columns> sigma_field() {
     return {"sigma", false, "standard deviation of brdf, same unit",
-            schema::array(schema::number(bad_sigma), 1, kMostSamples),
-            [](const json& v, const Place& p, Columns& out) {
+            schema::array(schema::number(bad_sigma), 1, kMostSamples), [](const json& v, const Place& p, Columns& out) {
                 out.sigma = read_column(v, p, bad_sigma);
                 out.has_sigma = true;
             }};
@@ -184,7 +182,8 @@ const std::vector<Field<Columns>> kSamplesFields{
          out.phi_i = read_column(v, p, bad_phi);
          out.has_phi_i = true;
      }},
-    column_field("theta_r_deg", true, "exitant angles; if one is negative, signs count and must agree with phi", &Columns::theta_r, bad_theta_r),
+    column_field("theta_r_deg", true, "exitant angles; if one is negative, signs count and must agree with phi",
+                 &Columns::theta_r, bad_theta_r),
     column_field("phi_r_deg", true, "exitant azimuths: phi_r - phi_i = 180 is the specular side", &Columns::phi_r,
                  bad_phi),
     column_field("brdf", true, "BRDF values", &Columns::brdf, bad_brdf),
@@ -409,10 +408,9 @@ const std::vector<Field<CsvQuery>> kDatasetQueryFields = [] {
 }();
 
 const std::vector<Field<CsvQuery>> kFitQueryFields = [] {
-    std::vector<Field<CsvQuery>> fields{
-        {"models", false, "names of models to fit; all if absent",
-         schema::array(schema::named("ModelName"), 1, kMostModels),
-         [](const json& v, const Place&, CsvQuery& out) { out.models = v; }}};
+    std::vector<Field<CsvQuery>> fields{{"models", false, "names of models to fit; all if absent",
+                                         schema::array(schema::named("ModelName"), 1, kMostModels),
+                                         [](const json& v, const Place&, CsvQuery& out) { out.models = v; }}};
     append_simple(fields, kDatasetFields, &CsvQuery::dataset);
     append_simple(fields, kOptionFields, &CsvQuery::options, "/options");
     return fields;
@@ -486,8 +484,13 @@ FitRequest read_job(std::string_view text, std::string_view dataset, const kerne
 Dataset read_dataset(std::string_view body) {
     const json document = parse_json(body);
     std::vector<FieldError> errors;
+    const Place root(errors, "");
     Dataset dataset;
-    read_object<Dataset>(document, Place(errors, ""), kDatasetFields, dataset);
+    read_object<Dataset>(document, root, kDatasetFields, dataset);
+    if (errors.empty())
+        for (std::size_t c = 0; c < dataset.channels.size(); ++c)
+            if (dataset.channels[c].samples.empty())
+                root.at("channels").at(c).fail("empty", "the channel has no samples");
     refuse_if_any(std::move(errors));
     return dataset;
 }

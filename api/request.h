@@ -47,7 +47,7 @@ PostedFit read_posted_fit_csv(std::string_view body, const Query& query, const k
 /// What PostedFit::text says; `dataset`: the body of the stored dataset that it names, if it does. Throws Refusal.
 FitRequest read_job(std::string_view text, std::string_view dataset, const kernels::Catalogue& catalogue);
 
-/// POST /v1/datasets with application/json or text/csv (query: name, unit). Throws Refusal.
+/// POST /v1/datasets with application/json or text/csv (query: name, unit): each channel has samples. Throws Refusal.
 optim::Dataset read_dataset(std::string_view body);
 optim::Dataset read_dataset_csv(std::string_view body, const Query& query);
 /// The dataset as JSON that read_dataset() reads, the same for the same measurements: reading and writing it again

@@ -170,9 +170,7 @@ Json fit_links(const std::string& id) {
     return {{"self", self},
             {"result", self + "/result"},
             {"plots",
-             {{"brdf", plots + "brdf.svg"},
-              {"residual", plots + "residual.svg"},
-              {"summary", plots + "summary.svg"}}}};
+             {{"brdf", plots + "brdf.svg"}, {"residual", plots + "residual.svg"}, {"summary", plots + "summary.svg"}}}};
 }
 
 std::string to_json(const optim::Report& report, const std::string& id) {
@@ -265,9 +263,7 @@ std::string service_json(const kernels::DeviceInfo& device, std::span<const kern
                     {"links", service_links()}});
 }
 
-std::string links_json() {
-    return text_of({{"name", "brdfit"}, {"version", version()}, {"links", service_links()}});
-}
+std::string links_json() { return text_of({{"name", "brdfit"}, {"version", version()}, {"links", service_links()}}); }
 
 std::string ready_json(std::span<const kernels::SelfTest> tests, bool ready) {
     return text_of({{"status", ready ? "ready" : "unfit"}, {"selftest", self_tests_json(tests)}});

@@ -28,9 +28,7 @@ inline Json number(const Rule& range) {
     if (std::isfinite(range.high)) json[range.high_open ? "exclusiveMaximum" : "maximum"] = range.high;
     return json;
 }
-inline Json whole(double least, double most) {
-    return {{"type", "integer"}, {"minimum", least}, {"maximum", most}};
-}
+inline Json whole(double least, double most) { return {{"type", "integer"}, {"minimum", least}, {"maximum", most}}; }
 inline Json count() { return {{"type", "integer"}, {"minimum", 0}}; }
 inline Json constant(Json value) { return {{"const", std::move(value)}}; }
 inline Json array(Json items) { return {{"type", "array"}, {"items", std::move(items)}}; }
@@ -42,9 +40,7 @@ inline Json array(Json items, std::size_t least, std::size_t most) {
 }
 /// An object whose keys are names that a client or a model chose.
 inline Json map_of(Json values) { return {{"type", "object"}, {"additionalProperties", std::move(values)}}; }
-inline Json named(std::string_view component) {
-    return {{"$ref", "#/components/schemas/" + std::string(component)}};
-}
+inline Json named(std::string_view component) { return {{"$ref", "#/components/schemas/" + std::string(component)}}; }
 inline Json any_of(std::vector<Json> schemas) { return {{"anyOf", std::move(schemas)}}; }
 inline Json or_null(Json schema) { return any_of({std::move(schema), {{"type", "null"}}}); }
 

@@ -82,9 +82,9 @@ Json channel_summary(const optim::Channel& channel) {
     angles.resize(std::min(angles.size(), kMostAngles));
     json["theta_i_deg"] = angles;
     const auto extent = [&](const auto& value) {
-        const auto [least, most] = std::minmax_element(
-            channel.samples.begin(), channel.samples.end(),
-            [&](const optim::Sample& a, const optim::Sample& b) { return value(a) < value(b); });
+        const auto [least, most] =
+            std::minmax_element(channel.samples.begin(), channel.samples.end(),
+                                [&](const optim::Sample& a, const optim::Sample& b) { return value(a) < value(b); });
         return range_json(value(*least), value(*most));
     };
     json["theta_r_deg"] = extent([](const optim::Sample& s) { return s.direction.theta_r_deg; });
@@ -133,7 +133,8 @@ std::string event_json(std::string_view kind, std::string_view body, const std::
 }
 
 std::string result_csv(std::string_view result) {
-    constexpr std::array<const char*, 7> kOfFit{"rank", "model", "lobes", "loss", "relative_loss", "rmse", "log10_rmse"};
+    constexpr std::array<const char*, 7> kOfFit{"rank",          "model", "lobes",     "loss",
+                                                "relative_loss", "rmse",  "log10_rmse"};
     constexpr std::array<const char*, 4> kOfParameter{"value", "std_error", "unit", "at_bound"};
     std::string out = "channel,wavelength_nm";
     for (const char* key : kOfFit) out += std::string(",") + key;

@@ -1,5 +1,5 @@
-/// Jobs and datasets that are kept, as JSON; results as CSV. Texts that the store kept are spliced in, not trusted: what
-/// is no JSON object counts as absent.
+/// Jobs and datasets that are kept, as JSON; results as CSV. Texts that the store kept are spliced in, not trusted:
+/// what is no JSON object counts as absent.
 #pragma once
 
 #include <cstddef>
@@ -45,7 +45,7 @@ std::string event_json(std::string_view kind, std::string_view body, const std::
 /// The ranked fits of a result (its JSON) as text/csv: a row for each parameter of each fit.
 std::string result_csv(std::string_view result);
 
-/// What a dataset holds, as JSON: the answer of its validation, and what lists show.
+/// What a dataset holds, as JSON: the answer of its validation, and what lists show. Each channel has samples.
 std::string summary_json(const optim::Dataset& dataset);
 
 struct StoredDataset {

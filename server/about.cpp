@@ -9,8 +9,8 @@
 namespace brdfit::server {
 namespace {
 
-using api::Refusal;
 using api::problem_type;
+using api::Refusal;
 
 /// For pages of ours: styles that stand in them, and nothing else.
 constexpr const char* kPagePolicy =
@@ -48,8 +48,11 @@ Response problem_kind(const Call& call) {
 /// Where a client says that it reached us, as far as that is a host's name.
 std::string url_of(const Request& request) {
     const std::string_view host = request.header("Host");
-    const auto is_ok = [](unsigned char c) { return std::isalnum(c) != 0 || std::string_view(".-:[]").find(static_cast<char>(c)) != std::string_view::npos; };
-    if (host.empty() || host.size() > 255 || !std::all_of(host.begin(), host.end(), is_ok)) return "http://127.0.0.1:8080";
+    const auto is_ok = [](unsigned char c) {
+        return std::isalnum(c) != 0 || std::string_view(".-:[]").find(static_cast<char>(c)) != std::string_view::npos;
+    };
+    if (host.empty() || host.size() > 255 || !std::all_of(host.begin(), host.end(), is_ok))
+        return "http://127.0.0.1:8080";
     return "http://" + std::string(host);
 }
 
@@ -78,8 +81,8 @@ std::vector<Route> About::routes() {
                           "wavelength_nm": 550, "precision": "auto", "gradient": true,
                           "geometry": {"theta_i_deg": [30, 30], "theta_r_deg": [30, -20], "phi_deg": [0, 0]}})")}};
         op.answers = {{200, "17 significant digits, 9 in single precision", {{kJson, s::named("Values")}}}};
-        op.problems = {"invalid-json", "too-large", "unsupported-media-type", "invalid-request", "unavailable",
-                       "unfit-device"};
+        op.problems = {"invalid-json",    "too-large",   "unsupported-media-type",
+                       "invalid-request", "unavailable", "unfit-device"};
         routes.push_back({std::move(op), call(&About::evaluate)});
     }
     {
@@ -109,9 +112,9 @@ std::vector<Route> About::routes() {
     }
     {
         Operation op{"GET", "/health/ready", "getReady", "Service", "Whether fits are possible"};
-        op.answers = {{200, "they are", {{kJson, s::named("Ready")}}},
-                      {503, "they are not",
-                       {{kJson, s::named("Ready")}, {"application/problem+json", s::named("Problem")}}}};
+        op.answers = {
+            {200, "they are", {{kJson, s::named("Ready")}}},
+            {503, "they are not", {{kJson, s::named("Ready")}, {"application/problem+json", s::named("Problem")}}}};
         routes.push_back({std::move(op), call(&About::ready)});
     }
     {
@@ -163,8 +166,7 @@ Response About::model(const Call& call) {
     refuse_query(call.request);
     const kernels::Family* family = catalogue_.find(call.path[0]);
     if (family == nullptr)
-        throw Refusal(
-            {problem_type("unknown-model"), "there is no such model; valid are: " + catalogue_.names(), {}});
+        throw Refusal({problem_type("unknown-model"), "there is no such model; valid are: " + catalogue_.names(), {}});
     return json(api::to_json(*family));
 }
 
@@ -173,10 +175,10 @@ Response About::evaluate(const Call& call) {
     (void)body_type(call.request, {kJson});
     const api::EvaluateRequest request = api::read_evaluate_request(call.request.body, catalogue_);
     if (!compute_.usable())
-        throw Refusal(
-            {problem_type("unfit-device"), "the device failed its self-test; /health/ready tells where", {}});
+        throw Refusal({problem_type("unfit-device"), "the device failed its self-test; /health/ready tells where", {}});
     if (request.precision)
-        if (const auto reason = compute_.refusal(*request.precision)) throw invalid("/precision", "unsupported", *reason);
+        if (const auto reason = compute_.refusal(*request.precision))
+            throw invalid("/precision", "unsupported", *reason);
     return json(compute_.evaluate(call.request.body));
 }
 

@@ -16,7 +16,11 @@ class About {
 public:
     About(const kernels::Catalogue& catalogue, JobStore& store, Compute& compute, std::size_t largest_body,
           std::stop_token stop)
-        : catalogue_(catalogue), store_(store), compute_(compute), largest_body_(largest_body), stop_(std::move(stop)) {}
+        : catalogue_(catalogue),
+          store_(store),
+          compute_(compute),
+          largest_body_(largest_body),
+          stop_(std::move(stop)) {}
 
     /// They refer to this object.
     [[nodiscard]] std::vector<Route> routes();

@@ -8,8 +8,8 @@
 namespace brdfit::server {
 namespace {
 
-using api::Refusal;
 using api::problem_type;
+using api::Refusal;
 
 struct ListQuery {
     PageRequest page;
@@ -43,7 +43,8 @@ std::vector<Route> Datasets::routes() {
         {"name": "550nm", "wavelength_nm": 550, "scans": [
             {"theta_i_deg": 15, "theta_r_deg": [-60, 0, 15, 60], "brdf": [0.17, 0.25, 0.33, 0.17]}]}]})");
     const std::vector<Content> bodies{{kJson, s::named("Dataset"), example}, {kCsv, s::text(), kCsvExample}};
-    const std::vector<std::string_view> refusals{"invalid-json", "too-large", "unsupported-media-type", "invalid-request"};
+    const std::vector<std::string_view> refusals{"invalid-json", "too-large", "unsupported-media-type",
+                                                 "invalid-request"};
     const auto call = [this](Response (Datasets::*member)(const Call&)) {
         return [this, member](const Call& c) { return (this->*member)(c); };
     };
@@ -53,8 +54,9 @@ std::vector<Route> Datasets::routes() {
                      "Keep measurements: the same ones have the same id, whatever form they came in"};
         op.parameters = in_query(dataset_query());
         op.bodies = bodies;
-        op.answers = {{201, "kept", {{kJson, s::named("StoredDataset")}}, {{"Location", "of the dataset"}}},
-                      {200, "it was kept before", {{kJson, s::named("StoredDataset")}}, {{"Location", "of the dataset"}}}};
+        op.answers = {
+            {201, "kept", {{kJson, s::named("StoredDataset")}}, {{"Location", "of the dataset"}}},
+            {200, "it was kept before", {{kJson, s::named("StoredDataset")}}, {{"Location", "of the dataset"}}}};
         op.problems = refusals;
         op.problems.push_back("unavailable");
         routes.push_back({std::move(op), call(&Datasets::post)});

@@ -14,8 +14,8 @@
 namespace brdfit::server {
 namespace {
 
-using api::Refusal;
 using api::problem_type;
+using api::Refusal;
 using api::schema::Json;
 using std::chrono::milliseconds;
 using std::chrono::seconds;
@@ -66,12 +66,15 @@ const std::vector<api::Field<ListQuery>> kListFields{
 using In = api::Parameter::In;
 
 const api::Parameter kId{In::path, "id", "of the fit", api::schema::text(), {}};
-const api::Parameter kPreferWait{In::header, "Prefer",
+const api::Parameter kPreferWait{In::header,
+                                 "Prefer",
                                  "wait=N: wait up to N seconds, at most 60; respond-async: do not wait",
-                                 api::schema::text(), {}};
-const api::Parameter kIfNoneMatch{In::header, "If-None-Match", "304 if the entity tag is still that", api::schema::text(),
-                                  {}};
-const api::Parameter kIfMatch{In::header, "If-Match", "412 if the entity tag is another by now", api::schema::text(), {}};
+                                 api::schema::text(),
+                                 {}};
+const api::Parameter kIfNoneMatch{
+    In::header, "If-None-Match", "304 if the entity tag is still that", api::schema::text(), {}};
+const api::Parameter kIfMatch{
+    In::header, "If-Match", "412 if the entity tag is another by now", api::schema::text(), {}};
 
 Json example_request() {
     return Json::parse(R"({"dataset": {"name": "white plastic", "unit": "1/sr", "channels": [
@@ -82,13 +85,15 @@ Json example_request() {
         "options": {"loss": "cosine_l2", "effort": "draft", "seed": 1, "time_limit_s": 30}})");
 }
 
-api::Operation operation(std::string_view method, std::string_view path, std::string_view id, std::string_view summary) {
+api::Operation operation(std::string_view method, std::string_view path, std::string_view id,
+                         std::string_view summary) {
     return {method, path, id, "Fits", summary};
 }
 
 std::string query_text(const api::Query& query) {
     std::string text;
-    for (const auto& [key, value] : query) text += std::to_string(key.size()) + key + std::to_string(value.size()) + value;
+    for (const auto& [key, value] : query)
+        text += std::to_string(key.size()) + key + std::to_string(value.size()) + value;
     return text;
 }
 
@@ -98,9 +103,10 @@ std::optional<IdempotencyKey> idempotency_key(const Request& request) {
     const std::string& key = found->second;
     const auto is_visible = [](char c) { return c > 0x20 && c < 0x7f; };
     if (key.empty() || key.size() > 255 || !std::all_of(key.begin(), key.end(), is_visible))
-        throw Refusal({problem_type("invalid-header"), "Idempotency-Key must be 1 to 255 visible ASCII characters", {}});
-    return IdempotencyKey{key, result_key({request.path, query_text(request.query), media_type(request.content_type),
-                                           request.body})};
+        throw Refusal(
+            {problem_type("invalid-header"), "Idempotency-Key must be 1 to 255 visible ASCII characters", {}});
+    return IdempotencyKey{
+        key, result_key({request.path, query_text(request.query), media_type(request.content_type), request.body})};
 }
 
 std::string self_of(const std::string& id) { return "/v1/fits/" + id; }
@@ -153,25 +159,32 @@ std::vector<Route> Fits::routes() {
                                  "wait=N: wait up to N seconds (10 if absent, at most 60); respond-async: do not wait, "
                                  "and let fits go first that somebody waits for",
                                  s::text(), "wait=30"});
-        op.parameters.push_back({In::header, "Idempotency-Key",
+        op.parameters.push_back({In::header,
+                                 "Idempotency-Key",
                                  "the same key with the same request is one fit, however often it is sent; kept for a "
                                  "day",
-                                 s::text(), {}});
-        op.parameters.push_back({In::header, "Cache-Control",
-                                 "no-cache: compute anew even if the result of the same request is kept", s::text(), {}});
-        op.bodies = {{kJson, s::named("FitRequest"), example_request()},
-                     {kCsv, s::text(), kCsvExample}};
-        op.answers = {{200, "the ranked fits; those of a stored result where Cache-Status says hit",
+                                 s::text(),
+                                 {}});
+        op.parameters.push_back({In::header,
+                                 "Cache-Control",
+                                 "no-cache: compute anew even if the result of the same request is kept",
+                                 s::text(),
+                                 {}});
+        op.bodies = {{kJson, s::named("FitRequest"), example_request()}, {kCsv, s::text(), kCsvExample}};
+        op.answers = {{200,
+                       "the ranked fits; those of a stored result where Cache-Status says hit",
                        {{kJson, s::named("FitResult")}},
                        {{"Content-Location", "where the same bytes stay"},
                         {"Cache-Status", "hit: a stored result of the same request; fwd=miss or fwd=request: computed"},
                         {"Preference-Applied", "what of Prefer was heeded"},
                         {"Idempotency-Replayed", "true where the key was used before"}}},
-                      {202, "taken; it goes on", {{kJson, s::named("FitStatus")}},
+                      {202,
+                       "taken; it goes on",
+                       {{kJson, s::named("FitStatus")}},
                        {{"Location", "of the fit"}, {"Retry-After", "seconds"}}}};
-        op.problems = {"invalid-json", "invalid-header", "in-flight", "no-result", "gone", "too-large",
-                       "unsupported-media-type", "invalid-request", "key-reused", "too-many-requests", "unavailable",
-                       "unfit-device", "stopping", "poison-job"};
+        op.problems = {"invalid-json", "invalid-header",         "in-flight",       "no-result",  "gone",
+                       "too-large",    "unsupported-media-type", "invalid-request", "key-reused", "too-many-requests",
+                       "unavailable",  "unfit-device",           "stopping",        "poison-job"};
         routes.push_back({std::move(op), call(&Fits::post)});
     }
     {
@@ -211,8 +224,7 @@ std::vector<Route> Fits::routes() {
         Operation op = operation("GET", "/v1/fits/{id}/events", "getFitEvents",
                                  "Server-sent events: state, progress, model_done and, at the end, done");
         op.parameters = {kId, {In::header, "Last-Event-ID", "go on after this one", s::count(), {}}};
-        op.answers = {{200, "events, each with an id; a comment at least every 15 s",
-                       {{kEventStream, s::text()}}},
+        op.answers = {{200, "events, each with an id; a comment at least every 15 s", {{kEventStream, s::text()}}},
                       {204, "it has ended, and there are no events after Last-Event-ID"}};
         op.problems = {"invalid-header", "unknown-fit", "not-acceptable", "gone"};
         routes.push_back({std::move(op), call(&Fits::events)});
@@ -221,8 +233,10 @@ std::vector<Route> Fits::routes() {
         Operation op = operation("GET", "/v1/fits/{id}/result", "getResult",
                                  "The ranked fits: the same bytes for as long as the fit is kept");
         op.parameters = {kId, kIfNoneMatch};
-        op.answers = {{200, "JSON, or by Accept CSV with a row for each parameter of each fit",
-                       {{kJson, s::named("FitResult")}, {kCsv, s::text()}}, {{"ETag", "strong"}}},
+        op.answers = {{200,
+                       "JSON, or by Accept CSV with a row for each parameter of each fit",
+                       {{kJson, s::named("FitResult")}, {kCsv, s::text()}},
+                       {{"ETag", "strong"}}},
                       {304, "it is as If-None-Match says"}};
         op.problems = {"unknown-fit", "not-acceptable", "not-finished", "no-result", "gone"};
         routes.push_back({std::move(op), call(&Fits::result)});
@@ -258,11 +272,9 @@ api::PostedFit Fits::read(const Request& request) {
 
 void Fits::require_proven(std::optional<kernels::Precision> precision) const {
     if (!compute_.usable())
-        throw Refusal(
-            {problem_type("unfit-device"), "the device failed its self-test; /health/ready tells where", {}});
+        throw Refusal({problem_type("unfit-device"), "the device failed its self-test; /health/ready tells where", {}});
     if (!precision) return;
-    if (const auto reason = compute_.refusal(*precision))
-        throw invalid("/options/precision", "unsupported", *reason);
+    if (const auto reason = compute_.refusal(*precision)) throw invalid("/options/precision", "unsupported", *reason);
 }
 
 std::string Fits::result_key_of(const api::PostedFit& posted, const Request& request) const {
@@ -307,8 +319,7 @@ Job Fits::wait(const Request& request, const std::string& id, seconds time, bool
 Response Fits::outcome(const Request& request, const Job& job) {
     auto result = store_.result(job.id);
     if (!result) {
-        if (job.state != JobState::failed)
-            throw Refusal({problem_type("no-result"), "the fit was cancelled", {}});
+        if (job.state != JobState::failed) throw Refusal({problem_type("no-result"), "the fit was cancelled", {}});
         api::FailedFit failed = api::failed_fit(job.error, request.path, request.id);
         return {failed.status, "application/problem+json", std::move(failed.body), {{"Location", self_of(job.id)}}};
     }
@@ -338,8 +349,7 @@ Response Fits::post(const Call& call) {
 
     using Outcome = Submitted::Outcome;
     switch (submitted.outcome) {
-        case Outcome::in_flight:
-            throw Refusal({problem_type("in-flight"), "it is " + self_of(submitted.id), {}});
+        case Outcome::in_flight: throw Refusal({problem_type("in-flight"), "it is " + self_of(submitted.id), {}});
         case Outcome::other_body:
             throw Refusal({problem_type("key-reused"), "this Idempotency-Key came with another request before", {}});
         case Outcome::unknown_dataset:  // removed since it was read
@@ -478,8 +488,9 @@ Response Fits::plot(const Call& call) {
     const auto kind =
         std::find_if(kPlots.begin(), kPlots.end(), [&](const PlotKind& k) { return k.file == call.path[1]; });
     if (kind == kPlots.end())
-        throw Refusal(
-            {problem_type("unknown-plot"), "there is no such plot; valid are: brdf.svg, residual.svg, summary.svg", {}});
+        throw Refusal({problem_type("unknown-plot"),
+                       "there is no such plot; valid are: brdf.svg, residual.svg, summary.svg",
+                       {}});
     const api::PlotOptions options = api::read_plot_options(request.query);
     const auto figures = store_.figures(job.id);
     if (!figures && !has_ended(job.state))

@@ -188,7 +188,9 @@ Head read_head(std::string_view text, std::size_t largest_body) {
     while (!(line = next_line()).empty()) {  // after a problem as well: an answer tells the request's id
         std::optional<Problem> problem;
         if (++count > kMostHeaders)
-            problem = Problem{api::problem_type("head-too-large"), "a request may have at most " + std::to_string(kMostHeaders) + " headers", {}};
+            problem = Problem{api::problem_type("head-too-large"),
+                              "a request may have at most " + std::to_string(kMostHeaders) + " headers",
+                              {}};
         else problem = read_header(line, head);
         if (!head.problem) head.problem = std::move(problem);
         if (count > kMostHeaders) break;

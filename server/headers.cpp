@@ -14,8 +14,8 @@
 namespace brdfit::server {
 namespace {
 
-using api::Refusal;
 using api::problem_type;
+using api::Refusal;
 
 std::string_view trimmed(std::string_view text) {
     const auto first = text.find_first_not_of(" \t");
@@ -56,7 +56,8 @@ double quality(const std::vector<std::string_view>& parameters) {
     for (std::size_t i = 1; i < parameters.size(); ++i) {
         const Directive q = directive(parameters[i]);
         double value = 0;
-        if (same(q.name, "q") && std::from_chars(q.value.data(), q.value.data() + q.value.size(), value).ec == std::errc{})
+        if (same(q.name, "q") &&
+            std::from_chars(q.value.data(), q.value.data() + q.value.size(), value).ec == std::errc{})
             return value;
     }
     return 1;
@@ -120,11 +121,11 @@ std::string_view accepted(const Request& request, std::initializer_list<std::str
             const auto parameters = parts_of(range, ';');
             if (parameters.empty()) continue;
             const std::string_view name = parameters.front();
-            const int match = same(name, type)                                                              ? 2
-                              : name.ends_with("/*") && same(name.substr(0, name.size() - 1),
-                                                             type.substr(0, type.find('/') + 1))             ? 1
-                              : name == "*/*"                                                               ? 0
-                                                                                                            : -1;
+            const int match =
+                same(name, type)                                                                                    ? 2
+                : name.ends_with("/*") && same(name.substr(0, name.size() - 1), type.substr(0, type.find('/') + 1)) ? 1
+                : name == "*/*"                                                                                     ? 0
+                                : -1;
             if (match <= specific) continue;
             specific = match;
             q = quality(parameters);

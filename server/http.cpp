@@ -170,11 +170,13 @@ struct HttpServer::Impl final : Service {
             const auto sent = exchange.head.headers.find("Authorization");
             const auto name = sent == exchange.head.headers.end() ? std::nullopt : keys->name_of(sent->second);
             if (!name && !is_public(path))
-                return api::Problem{api::problem_type("unauthorized"), "an API key is needed: Authorization: Bearer KEY", {}};
+                return api::Problem{
+                    api::problem_type("unauthorized"), "an API key is needed: Authorization: Bearer KEY", {}};
             exchange.tenant = name.value_or("");
         }
         if (!is_health(path) && !rate.allows(client_of(exchange), std::chrono::steady_clock::now()))
-            return api::Problem{api::problem_type("too-many-requests"), "a client may not send so many requests a second", {}};
+            return api::Problem{
+                api::problem_type("too-many-requests"), "a client may not send so many requests a second", {}};
         return std::nullopt;
     }
 
@@ -248,8 +250,8 @@ struct HttpServer::Impl final : Service {
             response.content_type = Metrics::kContentType;
             response.body = metrics.text();
         } else {
-            response = problem_response({api::problem_type("method-not-allowed"), request.method + " is not for this resource", {}},
-                                        request);
+            response = problem_response(
+                {api::problem_type("method-not-allowed"), request.method + " is not for this resource", {}}, request);
             response.headers["Allow"] = "GET, HEAD";
         }
         response.route = "/metrics";

@@ -390,7 +390,8 @@ bool Listener::Loop::evict(const std::string* address, bool holding) {
         victim->state == State::body) {
         Exchange exchange;
         exchange.last = true;
-        service_.refuse(exchange, {api::problem_type("busy"), "the service has as many connections as it can have", {}});
+        service_.refuse(exchange,
+                        {api::problem_type("busy"), "the service has as many connections as it can have", {}});
         (void)!::recv(victim->socket.get(), buffer_.data(), buffer_.size(), 0);
         std::size_t sent = 0;
         (void)send_some(victim->socket.get(), exchange.output, sent);

@@ -39,8 +39,8 @@ Query read_list_query(const Request& request, const std::vector<api::Field<Query
     api::read_query<Query>(request.query, api::Place(errors, ""), fields, query);
     api::refuse_if_any(std::move(errors));
     // Cursors are digits, and what joins them.
-    if (query.page.cursor && (query.page.cursor->empty() || query.page.cursor->find_first_not_of("0123456789abcdef.-") !=
-                                                                std::string::npos))
+    if (query.page.cursor &&
+        (query.page.cursor->empty() || query.page.cursor->find_first_not_of("0123456789abcdef.-") != std::string::npos))
         throw api::Refusal({api::problem_type("invalid-cursor"), "the cursor is none of ours", {}});
     return query;
 }

@@ -18,8 +18,10 @@ Places::Taken Places::take(const std::string& client) {
         return Taken{nullptr, api::Problem{type, detail, {}}};
     };
     if (of_client >= share_.each)
-        return refuse(api::problem_type("too-many-requests"), "a client may have " + std::to_string(share_.each) + " " + what_);
-    if (taken_ >= share_.all) return refuse(api::problem_type("busy"), "the service has as many " + what_ + " as it can have");
+        return refuse(api::problem_type("too-many-requests"),
+                      "a client may have " + std::to_string(share_.each) + " " + what_);
+    if (taken_ >= share_.all)
+        return refuse(api::problem_type("busy"), "the service has as many " + what_ + " as it can have");
     ++taken_;
     ++of_client;
     const auto give_back = [this](const std::string* name) {

@@ -13,8 +13,8 @@ namespace brdfit::server {
 namespace {
 
 using api::Problem;
-using api::Refusal;
 using api::problem_type;
+using api::Refusal;
 
 std::vector<std::string> parts_of(std::string_view path) {
     std::vector<std::string> parts;
@@ -94,7 +94,8 @@ Response Routes::answer(const Request& request, std::string& route) const {
         spdlog::error("{} {} request {}: the store: {}", request.method, route, request.id, error.what());
         const bool full = error.kind == StoreError::Kind::full;
         return refusal({problem_type("unavailable"),
-                        full ? "there is no room for more" : "what is kept cannot be reached now", {}},
+                        full ? "there is no room for more" : "what is kept cannot be reached now",
+                        {}},
                        request);
     } catch (const std::exception& error) {
         spdlog::error("{} {} request {}: {}", request.method, route, request.id, error.what());

@@ -8,12 +8,12 @@
 
 #include "api/problem.h"
 #include "kernels/model.h"
+#include "server/about.h"
 #include "server/compute.h"
 #include "server/datasets.h"
 #include "server/fits.h"
 #include "server/message.h"
 #include "server/route.h"
-#include "server/about.h"
 #include "server/store.h"
 
 namespace brdfit::server {

@@ -48,7 +48,9 @@ constexpr unsigned kTries = 3;           ///< before the service begins without 
 constexpr milliseconds kForWorker = 5s;  ///< a question waits so long for a worker
 constexpr milliseconds kForAnswer = 60s;
 
-api::Refusal unavailable() { return api::Refusal({api::problem_type("no-worker"), "nobody computes at the moment; try again", {}}); }
+api::Refusal unavailable() {
+    return api::Refusal({api::problem_type("no-worker"), "nobody computes at the moment; try again", {}});
+}
 
 /// Ends of a socket pair.
 std::pair<int, int> socket_pair() {
@@ -424,11 +426,13 @@ std::string Supervisor::evaluate(std::string_view body) {
     const api::EvaluateRequest request = api::read_evaluate_request(body, impl_->catalogue);
     const api::DeviceFacts facts = impl_->known([](const api::DeviceFacts&) { return true; });
     if (!facts.usable())
-        throw api::Refusal({api::problem_type("unfit-device"), "the device failed its self-test; /health/ready tells where", {}});
+        throw api::Refusal(
+            {api::problem_type("unfit-device"), "the device failed its self-test; /health/ready tells where", {}});
     if (request.precision)
         if (const auto reason = refusal(*request.precision))
-            throw api::Refusal(
-                {api::problem_type("invalid-request"), "/precision: " + *reason, {{"/precision", "unsupported", *reason, {}, {}}}});
+            throw api::Refusal({api::problem_type("invalid-request"),
+                                "/precision: " + *reason,
+                                {{"/precision", "unsupported", *reason, {}, {}}}});
     for (int attempt = 0; attempt < 2; ++attempt)
         if (auto answer = impl_->ask(body)) return *answer;
     throw unavailable();

@@ -30,7 +30,8 @@ inline void check_refusal(const api::Problem& problem, std::string_view text) {
         require(!error.code.empty() && !error.detail.empty(), "an error without words");
         require(error.line.has_value() == error.column.has_value(), "a line comes with its column");
         require(error.line.value_or(1) > 0 && error.column.value_or(1) > 0, "lines and columns count from 1");
-        require(problem.type.status == 422 || error.line.has_value(), "the text is at fault: " + error.code + " where?");
+        require(problem.type.status == 422 || error.line.has_value(),
+                "the text is at fault: " + error.code + " where?");
         for (const char* word : {"exception", "parse error", "std::"})
             require(error.detail.find(word) == std::string::npos || text.find(word) != std::string_view::npos,
                     "an exception's words: " + error.detail);

@@ -8,7 +8,9 @@ unknown=01930c1e-7b5e-7c3a-9d2e-0a4c5f1b2d3e
 
 # fit QUERY [curl option...]: posts the file; id is the answer's.
 fit() {
-    post_csv "$@"
+    local query=$1
+    shift
+    post_csv "$query" "$file" "$@"
     id=$(jq -r '.id // empty' "$work/body" 2>/dev/null)
 }
 # post_slow SEED [curl option...]: a fit that takes long, asynchronously.

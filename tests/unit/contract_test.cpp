@@ -1,4 +1,5 @@
-// What the contract promises apart from sockets: datasets keep their text, headers are read as RFCs say, results as CSV.
+// What the contract promises apart from sockets: datasets keep their text, headers are read as RFCs say, results as
+// CSV.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <nlohmann/json.hpp>
@@ -16,9 +17,9 @@ namespace {
 
 using api::errors_of;
 using api::refusal_of;
+using nlohmann::json;
 using testing::HasSubstr;
 using testing::Not;
-using nlohmann::json;
 
 const kernels::Catalogue& catalogue() {
     static const kernels::Catalogue all;
@@ -61,6 +62,11 @@ TEST(CanonicalText, ChangesNoMoreOnceItIsWritten) {
     }
 }
 
+TEST(Dataset, HasSamplesInEachChannel) {
+    EXPECT_EQ(errors_of(refusal_of([] { (void)api::read_dataset(R"({"channels": [{"scans": []}]})"); })),
+              std::vector<std::string>{"/channels/0 empty"});
+}
+
 // ---- jobs ----
 
 const std::string kDataset = R"({"channels": [{"scans": [{"theta_i_deg": 1, "theta_r_deg": [2, 3, 4],
@@ -88,7 +94,8 @@ TEST(PostedFit, NamesAStoredDataset) {
         if (id != "known") return std::nullopt;
         return kDataset;
     };
-    const api::PostedFit posted = api::read_posted_fit(R"({"dataset": "known", "models": ["ward"]})", catalogue(), stored);
+    const api::PostedFit posted =
+        api::read_posted_fit(R"({"dataset": "known", "models": ["ward"]})", catalogue(), stored);
     EXPECT_EQ(posted.dataset, "known");
     EXPECT_EQ(posted.request.dataset, api::read_dataset(kDataset));
     EXPECT_EQ(api::read_job(posted.text, kDataset, catalogue()), posted.request);
@@ -97,14 +104,15 @@ TEST(PostedFit, NamesAStoredDataset) {
 }
 
 TEST(ResultCsv, HasARowForEachParameter) {
-    EXPECT_EQ(api::result_csv(R"({"channels": [{"name": "=a,\"b\"", "wavelength_nm": 550, "fits": [
+    EXPECT_EQ(
+        api::result_csv(R"({"channels": [{"name": "=a,\"b\"", "wavelength_nm": 550, "fits": [
         {"rank": 1, "model": "ward", "loss": 0.5, "parameters": {
             "rho_d": {"value": 0.25, "std_error": null, "unit": "1", "at_bound": true},
             "alpha": {"value": 1e-3, "std_error": 0.5, "unit": "1", "at_bound": false}}}]}, {"name": "x", "fits": []}]})"),
-              "channel,wavelength_nm,rank,model,lobes,loss,relative_loss,rmse,log10_rmse,parameter,value,std_error,unit,"
-              "at_bound\r\n"
-              "\"'=a,\"\"b\"\"\",550,1,ward,,0.5,,,,rho_d,0.25,,1,true\r\n"
-              "\"'=a,\"\"b\"\"\",550,1,ward,,0.5,,,,alpha,0.001,0.5,1,false\r\n");
+        "channel,wavelength_nm,rank,model,lobes,loss,relative_loss,rmse,log10_rmse,parameter,value,std_error,unit,"
+        "at_bound\r\n"
+        "\"'=a,\"\"b\"\"\",550,1,ward,,0.5,,,,rho_d,0.25,,1,true\r\n"
+        "\"'=a,\"\"b\"\"\",550,1,ward,,0.5,,,,alpha,0.001,0.5,1,false\r\n");
     EXPECT_THAT(api::result_csv("no JSON"), HasSubstr("at_bound\r\n"));
 }
 
@@ -120,7 +128,9 @@ TEST(FailedFit, TellsNoMoreThanAProblem) {
 // ---- the reader of JSON ----
 
 TEST(ParseJson, TakesNoMoreThanARequestHas) {
-    const auto refused = [](const std::string& text) { return errors_of(refusal_of([&] { (void)api::parse_json(text); })); };
+    const auto refused = [](const std::string& text) {
+        return errors_of(refusal_of([&] { (void)api::parse_json(text); }));
+    };
     std::string keys = "{";
     for (int i = 0; i <= 1000; ++i) keys += "\"k" + std::to_string(i) + "\":0,";
     EXPECT_EQ(refused(R"({"a": )" + keys + "\"k\":0}}"), std::vector<std::string>{"/a too_many"});
@@ -188,7 +198,8 @@ TEST(Prefer, IsReadAsRfc7240Says) {
 
 TEST(Prefer, RefusesAWaitThatIsNone) {
     for (const char* bad : {"wait=x", "wait=", "wait", "wait=-1", "wait=1e9", "wait=1.5", "wait=\"1"})
-        EXPECT_EQ(refusal_of([&] { (void)server::preferences(with("Prefer", bad)); }).type.name, "invalid-header") << bad;
+        EXPECT_EQ(refusal_of([&] { (void)server::preferences(with("Prefer", bad)); }).type.name, "invalid-header")
+            << bad;
 }
 
 TEST(Conditions, CompareTagsAndTimes) {
@@ -220,7 +231,8 @@ TEST(Schemas, ReferToWhatThereIs) {
     const api::schema::Json schemas = api::component_schemas(catalogue());
     const std::function<void(const api::schema::Json&)> look = [&](const api::schema::Json& node) {
         if (node.is_object() && node.contains("$ref")) {
-            const std::string name = node["$ref"].get<std::string>().substr(std::string("#/components/schemas/").size());
+            const std::string name =
+                node["$ref"].get<std::string>().substr(std::string("#/components/schemas/").size());
             EXPECT_TRUE(schemas.contains(name)) << name;
         }
         if (node.is_structured())

@@ -208,10 +208,13 @@ TEST(Response, SaysWhatTheSelfTestsFound) {
 }
 
 TEST(Problem, HasTheMembersOfRfc9457) {
-    const Json body = Json::parse(to_json(
-        Problem{problem_type("invalid-request"), "x", {{"/a~1b", "c", "d", {}, {}}, {"", "e", "f", 3, 4}}}, "/v1/fits", "r"));
-    EXPECT_EQ(body,
-              Json::parse(R"({"type": "/problems/invalid-request", "title": "Something in the request is refused", "status": 422,
+    const Json body = Json::parse(
+        to_json(Problem{problem_type("invalid-request"), "x", {{"/a~1b", "c", "d", {}, {}}, {"", "e", "f", 3, 4}}},
+                "/v1/fits", "r"));
+    EXPECT_EQ(
+        body,
+        Json::parse(
+            R"({"type": "/problems/invalid-request", "title": "Something in the request is refused", "status": 422,
         "detail": "x", "instance": "/v1/fits", "request_id": "r", "errors": [
         {"pointer": "/a~1b", "code": "c", "detail": "d"},
         {"pointer": "", "code": "e", "detail": "f", "line": 3, "column": 4}]})"));
