@@ -109,6 +109,8 @@ std::optional<IdempotencyKey> idempotency_key(const Request& request) {
         key, result_key({request.path, query_text(request.query), media_type(request.content_type), request.body})};
 }
 
+StoreTime last_change(const Job& job) { return job.ended.value_or(job.started.value_or(job.created)); }
+
 std::string self_of(const std::string& id) { return "/v1/fits/" + id; }
 
 std::string event_text(const Event& event) {
@@ -403,6 +405,7 @@ Response Fits::get(const Call& call) {
     Response response;
     response.body = api::to_json(status(job, true));
     response.headers["ETag"] = entity_tag(response.body);
+    response.headers["Last-Modified"] = http_date(last_change(job));
     response.headers["Cache-Control"] = "private, no-cache";
     if (wanted.wait) response.headers["Preference-Applied"] = "wait=" + std::to_string(wanted.wait->count());
     if (!has_ended(job.state)) response.headers["Retry-After"] = "1";
@@ -413,7 +416,7 @@ Response Fits::cancel(const Call& call) {
     const Request& request = call.request;
     refuse_query(request);
     const Job job = find(request, call.path[0]);
-    require_match(request, entity_tag(api::to_json(status(job, true))));
+    require_match(request, entity_tag(api::to_json(status(job, true))), last_change(job));
     store_.request_cancel(job.id);
     store_.sync();
     const Job now = find(request, job.id);
@@ -429,7 +432,7 @@ Response Fits::remove(const Call& call) {
     const Request& request = call.request;
     refuse_query(request);
     const Job job = find(request, call.path[0]);
-    require_match(request, entity_tag(api::to_json(status(job, true))));
+    require_match(request, entity_tag(api::to_json(status(job, true))), last_change(job));
     if (!has_ended(job.state)) store_.request_cancel(job.id);
     store_.remove(job.id);
     store_.sync();

@@ -208,6 +208,8 @@ request DELETE "/v1/fits/$unknown"
 refused "... removed" 404
 request DELETE "/v1/fits/$first" -H 'If-Match: "x"'
 refused "removed in another state" 412
+request DELETE "/v1/fits/$first" -H 'If-Unmodified-Since: Mon, 01 Jan 2001 00:00:00 GMT'
+refused "removed if unmodified for long" 412
 request DELETE "/v1/fits/$first" -H 'If-Match: *'
 answered "removed in any state" 204
 fit "models=lambert,ward&seed=7"
