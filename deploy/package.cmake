@@ -1,5 +1,6 @@
 # The Debian package: cpack -G DEB in the build folder.
 include(GNUInstallDirs)
+set(CMAKE_SKIP_INSTALL_ALL_DEPENDENCY TRUE)  # what is packed is built before; tests need not be
 install(TARGETS brdfit RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR})
 install(FILES deploy/brdfit.service DESTINATION lib/systemd/system)
 install(FILES deploy/brdfit.default DESTINATION /etc/default RENAME brdfit)
