@@ -9,7 +9,9 @@ mounted=()
 leave() {
     local folder
     [[ -z ${service-} ]] || kill -KILL "$service" 2>/dev/null
-    for folder in "${mounted[@]+"${mounted[@]}"}"; do umount -l "$folder"; done
+    for folder in "${mounted[@]+"${mounted[@]}"}"; do
+        umount -l "$folder" || work=$work/nothing # what is still mounted must not be deleted
+    done
     stop_servers
 }
 trap leave EXIT
@@ -26,7 +28,7 @@ check "systemd takes the unit" bash -c 'out=$(systemd-analyze verify --man=no "$
 if [[ -d ${BRDFIT_ROOT-} ]]; then cp -a "$BRDFIT_ROOT" "$root"
 else check "debootstrap" debootstrap --variant=minbase bookworm "$root" http://deb.debian.org/debian || finish; fi
 cp /etc/resolv.conf "$root/etc/"
-for folder in proc dev; do
+for folder in proc dev sys; do
     if mount --bind "/$folder" "$root/$folder"; then mounted+=("$root/$folder"); fi
 done
 printf '#!/bin/sh\nexit 101\n' >"$root/usr/sbin/policy-rc.d"
