@@ -356,7 +356,14 @@ int HttpServer::bind(const std::string& host, int port) {
     return bound;
 }
 
-void HttpServer::serve() { impl_->listener.run(std::exchange(impl_->socket, -1)); }
+void HttpServer::serve() {
+    try {
+        impl_->listener.run(std::exchange(impl_->socket, -1));
+    } catch (const std::runtime_error& error) {
+        spdlog::error("{}", error.what());
+    }
+}
+
 void HttpServer::stop() { impl_->listener.stop(); }
 Metrics& HttpServer::metrics() { return impl_->metrics; }
 

@@ -38,7 +38,7 @@ public:
     /// Binds the address; port 0 takes a free one. Returns the port. Throws std::runtime_error if it is taken, or is
     /// one that others reach while nobody is asked for a key.
     int bind(const std::string& host, int port);
-    /// Serves until stop() is called.
+    /// Serves until stop() is called, or the socket fails, which is logged.
     void serve();
     /// From any thread: ends serve() when running requests are answered.
     void stop();

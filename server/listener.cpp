@@ -533,7 +533,7 @@ bool Listener::Loop::flush(Connection& c) {
     if (c.sent < output.size()) {
         if (c.state != State::writing)
             enter(c, State::writing,
-                  limits_.write_time + milliseconds(1000) * static_cast<long>(output.size() / (std::size_t{64} << 10)));
+                  limits_.write_time + milliseconds(1000) * static_cast<long>(output.size() / limits_.write_rate));
         await(c, EPOLLOUT);
         count_held(c);
         return false;

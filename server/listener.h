@@ -25,7 +25,8 @@ struct Limits {
     Milliseconds head_time{5000};    ///< from the head's first byte, or the connection's start, to its end
     Milliseconds body_time{20000};   ///< from the end of the head
     Milliseconds idle_time{30000};   ///< between two requests
-    Milliseconds write_time{10000};  ///< for an answer, and a second more for every 64 KB
+    Milliseconds write_time{10000};  ///< for an answer, and more for its length:
+    std::size_t write_rate = std::size_t{64} << 10;  ///< bytes a second
     Milliseconds linger_time{2000};  ///< for the peer to read the last answer before the connection is reset
     Milliseconds stop_time{5000};    ///< for requests that are coming and answers that are going, once it stops
 };
