@@ -24,6 +24,8 @@ auto unpacked(std::string_view bytes, const Read& read) {
         return read(Json::from_msgpack(bytes));
     } catch (const Json::exception& error) {
         throw std::invalid_argument(std::string("no archive of this version: ") + error.what());
+    } catch (const std::out_of_range& error) {
+        throw std::invalid_argument(std::string("an archive of columns that do not match: ") + error.what());
     }
 }
 

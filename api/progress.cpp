@@ -34,7 +34,7 @@ std::string progress_json(const std::vector<optim::Progress::Task>& tasks, doubl
     Json best = Json::array();
     for (const bool ended : {false, true})
         for (const optim::Progress::Task& task : tasks)
-            if (task.done == ended && task.evaluations > 0 && best.size() < kMostTold) {
+            if (task.done == ended && task.relative_loss && best.size() < kMostTold) {
                 best.push_back(task_json(task));
                 best.back()["done"] = task.done;
             }

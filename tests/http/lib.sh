@@ -54,6 +54,7 @@ finish() {
 start_server() {
     log=$work/server.${#servers[@]}.log
     store=${store_of_all:-$work/store.${#servers[@]}.db} # its own, unless a test says otherwise
+    : >"$log"
     "$BRDFIT" serve --store "$store" --port 0 "$@" >"$log" 2>&1 &
     server=$!
     servers+=("$server")
