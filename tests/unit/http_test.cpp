@@ -345,9 +345,9 @@ TEST(PlacesTest, AreGivenBack) {
     auto a = places.take("a");
     {
         const auto second = places.take("a");
-        EXPECT_EQ(places.take("a").problem->status, 429);
+        EXPECT_EQ(places.take("a").problem->type.status, 429);
         const auto b = places.take("b");
-        EXPECT_EQ(places.take("c").problem->status, 503);
+        EXPECT_EQ(places.take("c").problem->type.status, 503);
     }
     EXPECT_FALSE(places.take("a").problem);
     a.place.reset();
