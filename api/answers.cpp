@@ -144,7 +144,7 @@ Json fit_status() {
                                          {"title", text()},
                                          {"status", whole(400, 599)},
                                          {"detail", text()},
-                                         {"errors", array(Json::object()), "", false}});
+                                         {"errors", array(anything()), "", false}});
     const Json best =
         object({{"channel", text()}, {"model", text()}, {"relative_loss", kNumberOrNull}, {"done", boolean()}});
     const Json progress = object({{"fraction", number(), "of the work"},
@@ -230,7 +230,7 @@ Json model() {
         {"source", text()},
         {"formula", text()},
         {"parameters", array(parameter)},
-        {"options", map_of(Json::object()), "of a model with lobes", false},
+        {"options", map_of(anything()), "of a model with lobes", false},
         {"traits", map_of(boolean())},
         {"links", object({{"self", kLink}})},
     });
@@ -272,9 +272,6 @@ Json service() {
 }  // namespace
 
 Json component_schemas(const kernels::Catalogue& catalogue) {
-    Json states = text();
-    for (const char* state : {"queued", "running", "cancelling", "succeeded", "failed", "cancelled"})
-        states["enum"].push_back(state);
     Json dataset_id = text();
     dataset_id["pattern"] = "^[0-9a-f]{64}$";
     Json json{
@@ -284,7 +281,7 @@ Json component_schemas(const kernels::Catalogue& catalogue) {
         {"EvaluateRequest", evaluate_request_schema()},
         {"ModelName", model_name(catalogue)},
         {"ParameterValues", parameter_values(catalogue)},
-        {"FitState", states},
+        {"FitState", one_of(kFitStates)},
         {"FitStatus", fit_status()},
         {"FitPage", page_of("FitStatus")},
         {"FitResult", fit_result()},

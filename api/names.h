@@ -47,6 +47,9 @@ inline constexpr std::array<Named<optim::StopReason>, 5> kStopReasons{{
     {optim::StopReason::roundoff, "roundoff", "round-off stopped progress; the point is usable"},
     {optim::StopReason::cancelled, "cancelled", "the request was withdrawn"},
 }};
+/// States of a fit that was taken, those that end it last.
+inline constexpr std::array<std::string_view, 6> kFitStates{"queued",    "running", "cancelling",
+                                                            "succeeded", "failed",  "cancelled"};
 inline constexpr const auto& kLosses = optim::kLossNames;
 
 /// The value that an entry of a table names.

@@ -19,6 +19,14 @@ inline Json text() { return {{"type", "string"}}; }
 /// A text that read_text() takes.
 inline Json name() { return {{"type", "string"}, {"maxLength", kLongestName}}; }
 inline Json formatted(std::string_view format) { return {{"type", "string"}, {"format", format}}; }
+/// One of these texts.
+template <class Names>
+Json one_of(const Names& names) {
+    Json json = text();
+    for (const auto& name : names) json["enum"].push_back(name);
+    return json;
+}
+inline Json anything() { return Json::object(); }
 inline Json boolean() { return {{"type", "boolean"}}; }
 inline Json number() { return {{"type", "number"}}; }
 /// A number that a rule lets pass.

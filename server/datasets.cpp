@@ -1,5 +1,7 @@
 #include "server/datasets.h"
 
+#include "api/examples.h"
+#include "api/listing.h"
 #include "api/request.h"
 #include "api/stored.h"
 #include "server/headers.h"
@@ -10,11 +12,6 @@ namespace {
 
 using api::problem_type;
 using api::Refusal;
-
-struct ListQuery {
-    PageRequest page;
-};
-const std::vector<api::Field<ListQuery>> kListFields{page_limit_field<ListQuery>(), page_cursor_field<ListQuery>()};
 
 optim::Dataset read(const Request& request) {
     if (body_type(request, {kJson, kCsv}) == kCsv) return api::read_dataset_csv(request.body, request.query);
@@ -39,10 +36,8 @@ std::vector<Route> Datasets::routes() {
     using In = Parameter::In;
     namespace s = api::schema;
     const Parameter id{In::path, "id", "SHA-256 of what it says, in hexadecimal", s::named("DatasetId"), {}};
-    const s::Json example = s::Json::parse(R"({"name": "white plastic", "unit": "1/sr", "channels": [
-        {"name": "550nm", "wavelength_nm": 550, "scans": [
-            {"theta_i_deg": 15, "theta_r_deg": [-60, 0, 15, 60], "brdf": [0.17, 0.25, 0.33, 0.17]}]}]})");
-    const std::vector<Content> bodies{{kJson, s::named("Dataset"), example}, {kCsv, s::text(), kCsvExample}};
+    const std::vector<Content> bodies{{kJson, s::named("Dataset"), examples::dataset()},
+                                      {kCsv, s::text(), examples::kCsv}};
     const std::vector<std::string_view> refusals{"invalid-json", "too-large", "unsupported-media-type",
                                                  "invalid-request"};
     const auto call = [this](Response (Datasets::*member)(const Call&)) {
@@ -72,7 +67,7 @@ std::vector<Route> Datasets::routes() {
     }
     {
         Operation op{"GET", "/v1/datasets", "listDatasets", "Datasets", "Datasets that are kept, newest first"};
-        op.parameters = in_query(parameters_of(kListFields));
+        op.parameters = in_query(dataset_list_query());
         op.answers = {{200, "a page", {{kJson, s::named("DatasetPage")}}, {{"Link", "rel=next: the next page"}}}};
         op.problems = {"invalid-cursor", "invalid-request"};
         routes.push_back({std::move(op), call(&Datasets::list)});
@@ -109,13 +104,13 @@ Response Datasets::post(const Call& call) {
 }
 
 Response Datasets::list(const Call& call) {
-    const ListQuery query = read_list_query<ListQuery>(call.request, kListFields);
-    const Page<DatasetInfo> page = list_page([&] { return store_.list_datasets(query.page); });
+    const api::ListQuery query = api::read_dataset_list(call.request.query);
+    const Page<DatasetInfo> page = list_page([&] { return store_.list_datasets(page_of(query)); });
     std::vector<api::StoredDataset> items;
     for (const DatasetInfo& info : page.items) items.push_back(stored(info));
     Response response;
     response.body = api::page_json(items, page.next);
-    if (page.next) response.headers["Link"] = next_link(call.request, *page.next);
+    if (page.next) response.headers["Link"] = api::next_link(call.request.path, call.request.query, *page.next);
     return response;
 }
 

@@ -5,7 +5,8 @@
 #include <charconv>
 
 #include "api/archive.h"
-#include "api/field.h"
+#include "api/examples.h"
+#include "api/listing.h"
 #include "api/plot.h"
 #include "api/response.h"
 #include "server/headers.h"
@@ -16,7 +17,6 @@ namespace {
 
 using api::problem_type;
 using api::Refusal;
-using api::schema::Json;
 using std::chrono::milliseconds;
 using std::chrono::seconds;
 using Clock = std::chrono::steady_clock;
@@ -33,34 +33,6 @@ struct PlotKind {
 constexpr std::array<PlotKind, 3> kPlots{
     {{"brdf.svg", api::plot_brdf}, {"residual.svg", api::plot_residual}, {"summary.svg", api::plot_summary}}};
 
-// ---- the list's query ----
-
-struct ListQuery {
-    JobFilter filter;
-    PageRequest page;
-};
-
-Json state_schema() {
-    Json json = api::schema::named("FitState");
-    json["type"] = "string";
-    return json;
-}
-
-const std::vector<api::Field<ListQuery>> kListFields{
-    {"state", false, "only fits in this state", state_schema(),
-     [](const nlohmann::json& v, const api::Place& p, ListQuery& out) {
-         const auto text = api::read_text(v, p);
-         if (!text) return;
-         out.filter.state = job_state(*text);
-         if (!out.filter.state)
-             p.fail("unknown_value", "must be one of: queued, running, cancelling, succeeded, failed, cancelled");
-     }},
-    {"dataset", false, "only fits of this stored dataset", api::schema::text(),
-     [](const nlohmann::json& v, const api::Place& p, ListQuery& out) { out.filter.dataset = api::read_text(v, p); }},
-    page_limit_field<ListQuery>(),
-    page_cursor_field<ListQuery>(),
-};
-
 // ---- the table's texts ----
 
 using In = api::Parameter::In;
@@ -75,15 +47,6 @@ const api::Parameter kIfNoneMatch{
     In::header, "If-None-Match", "304 if the entity tag is still that", api::schema::text(), {}};
 const api::Parameter kIfMatch{
     In::header, "If-Match", "412 if the entity tag is another by now", api::schema::text(), {}};
-
-Json example_request() {
-    return Json::parse(R"({"dataset": {"name": "white plastic", "unit": "1/sr", "channels": [
-        {"name": "550nm", "wavelength_nm": 550, "scans": [
-            {"theta_i_deg": 15, "theta_r_deg": [-60, 0, 10, 15, 20, 60], "brdf": [0.17, 0.25, 0.31, 0.33, 0.31, 0.17]},
-            {"theta_i_deg": 60, "theta_r_deg": [-60, 0, 50, 60, 70, 80], "brdf": [0.17, 0.17, 0.71, 1.5, 2.1, 1.8]}]}]},
-        "models": ["ward", {"name": "lafortune", "lobes": 1, "bounds": {"n_1": [1, 500]}}],
-        "options": {"loss": "cosine_l2", "effort": "draft", "seed": 1, "time_limit_s": 30}})");
-}
 
 api::Operation operation(std::string_view method, std::string_view path, std::string_view id,
                          std::string_view summary) {
@@ -172,7 +135,7 @@ std::vector<Route> Fits::routes() {
                                  "no-cache: compute anew even if the result of the same request is kept",
                                  s::text(),
                                  {}});
-        op.bodies = {{kJson, s::named("FitRequest"), example_request()}, {kCsv, s::text(), kCsvExample}};
+        op.bodies = {{kJson, s::named("FitRequest"), examples::fit_request()}, {kCsv, s::text(), examples::kCsv}};
         op.answers = {{200,
                        "the ranked fits; those of a stored result where Cache-Status says hit",
                        {{kJson, s::named("FitResult")}},
@@ -191,7 +154,7 @@ std::vector<Route> Fits::routes() {
     }
     {
         Operation op = operation("GET", "/v1/fits", "listFits", "Fits that are kept, newest first");
-        op.parameters = in_query(parameters_of(kListFields));
+        op.parameters = in_query(fit_list_query());
         op.answers = {{200, "a page", {{kJson, s::named("FitPage")}}, {{"Link", "rel=next: the next page"}}}};
         op.problems = {"invalid-cursor", "invalid-request"};
         routes.push_back({std::move(op), call(&Fits::list)});
@@ -246,9 +209,9 @@ std::vector<Route> Fits::routes() {
     {
         Operation op = operation("GET", "/v1/fits/{id}/plots/{kind}", "getPlot",
                                  "An error plot: measurements with the models' curves (brdf), residuals, or a summary");
-        Json kinds = s::text();
-        for (const PlotKind& kind : kPlots) kinds["enum"].push_back(kind.file);
-        op.parameters = {kId, {In::path, "kind", "which plot", kinds, kPlots.front().file}};
+        std::vector<std::string_view> kinds;
+        for (const PlotKind& kind : kPlots) kinds.push_back(kind.file);
+        op.parameters = {kId, {In::path, "kind", "which plot", s::one_of(kinds), kPlots.front().file}};
         for (Parameter& parameter : in_query(plot_query())) op.parameters.push_back(std::move(parameter));
         op.parameters.push_back(kIfNoneMatch);
         op.answers = {{200, "a picture", {{kSvg, s::text()}}, {{"ETag", "strong"}}},
@@ -384,15 +347,15 @@ Response Fits::post(const Call& call) {
 
 Response Fits::list(const Call& call) {
     const Request& request = call.request;
-    const ListQuery query = read_list_query<ListQuery>(request, kListFields);
-    JobFilter filter = query.filter;
-    filter.tenant = request.tenant;
-    const Page<Job> page = list_page([&] { return store_.list(filter, query.page); });
+    const api::ListQuery query = api::read_fit_list(request.query);
+    JobFilter filter{request.tenant, {}, query.dataset};
+    if (query.state) filter.state = job_state(*query.state);
+    const Page<Job> page = list_page([&] { return store_.list(filter, page_of(query)); });
     std::vector<api::FitStatus> items;
     for (const Job& job : page.items) items.push_back(status(job, false));
     Response response;
     response.body = api::page_json(items, page.next);
-    if (page.next) response.headers["Link"] = next_link(request, *page.next);
+    if (page.next) response.headers["Link"] = api::next_link(request.path, request.query, *page.next);
     return response;
 }
 

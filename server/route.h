@@ -22,10 +22,6 @@ struct Route {
     std::function<Response(const Call&)> answer;  ///< throws api::Refusal
 };
 
-/// A file of measurements, for examples.
-inline constexpr const char* kCsvExample =
-    "theta_i_deg,theta_r_deg,brdf_per_sr\n30,-60,0.171\n30,0,0.18\n30,28,0.385\n30,32,0.38\n30,60,0.2\n60,0,0.19\n";
-
 /// Refuses a query parameter where there is none.
 void refuse_query(const Request& request);
 

@@ -8,11 +8,12 @@
 
 #include <openssl/sha.h>
 
+#include "api/names.h"
+
 namespace brdfit::server {
 namespace {
 
-constexpr std::array<std::string_view, 6> kStates{"queued",    "running", "cancelling",
-                                                  "succeeded", "failed",  "cancelled"};
+constexpr auto& kStates = api::kFitStates;
 constexpr std::array<std::string_view, 4> kEvents{"state", "progress", "model_done", "done"};
 
 }  // namespace
