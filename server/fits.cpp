@@ -4,6 +4,8 @@
 #include <array>
 #include <charconv>
 
+#include <spdlog/spdlog.h>
+
 #include "api/archive.h"
 #include "api/examples.h"
 #include "api/listing.h"
@@ -422,7 +424,13 @@ Response Fits::events(const Call& call) {
     response.content_type = kEventStream;
     response.headers["Cache-Control"] = "no-store";
     response.headers["X-Accel-Buffering"] = "no";  // a proxy passes events on at once
-    response.stream = [this, id = job.id, after](Stream& out) { stream_events(store_, id, after, out); };
+    response.stream = [this, id = job.id, after](Stream& out) {
+        try {
+            stream_events(store_, id, after, out);
+        } catch (const StoreError& trouble) {  // the client comes again, with Last-Event-ID
+            spdlog::error("events of fit {}: {}", id, trouble.what());
+        }
+    };
     return response;
 }
 
