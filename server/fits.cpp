@@ -110,6 +110,13 @@ void stream_events(JobStore& store, const std::string& id, std::uint64_t after, 
 
 }  // namespace
 
+Fits::Fits(const kernels::Catalogue& catalogue, JobStore& store, Compute& compute, std::stop_token stop)
+    : catalogue_(catalogue), store_(store), compute_(compute), stop_(std::move(stop)) {
+    std::vector<std::string_view> texts;
+    for (const kernels::Family& family : catalogue.families()) texts.push_back(family.variants.back().text);
+    models_ = result_key(texts);
+}
+
 std::vector<Route> Fits::routes() {
     using namespace api;
     namespace s = api::schema;
@@ -246,8 +253,8 @@ void Fits::require_proven(std::optional<kernels::Precision> precision) const {
 
 std::string Fits::result_key_of(const api::PostedFit& posted, const Request& request) const {
     const kernels::DeviceInfo device = compute_.device();
-    return result_key({request.tenant, posted.text, posted.dataset.value_or(""), api::version(), device.name,
-                       device.platform, device.type});
+    return result_key({request.tenant, posted.text, posted.dataset.value_or(""), api::version(), models_, device.name,
+                       device.platform, device.version});
 }
 
 Job Fits::find(const Request& request, const std::string& id) {

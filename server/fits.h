@@ -18,8 +18,7 @@ namespace brdfit::server {
 
 class Fits {
 public:
-    Fits(const kernels::Catalogue& catalogue, JobStore& store, Compute& compute, std::stop_token stop)
-        : catalogue_(catalogue), store_(store), compute_(compute), stop_(std::move(stop)) {}
+    Fits(const kernels::Catalogue& catalogue, JobStore& store, Compute& compute, std::stop_token stop);
 
     /// They refer to this object.
     [[nodiscard]] std::vector<Route> routes();
@@ -51,6 +50,7 @@ private:
     JobStore& store_;
     Compute& compute_;
     std::stop_token stop_;
+    std::string models_;  ///< digest of all models' texts
 };
 
 }  // namespace brdfit::server
