@@ -29,9 +29,9 @@ const kernels::Catalogue& catalogue() {
 // ---- datasets ----
 
 TEST(CanonicalText, IsTheSameForTheSameMeasurements) {
-    const std::string of_csv = canonical_text(api::read_dataset_csv(
+    const std::string of_csv = api::canonical_text(api::read_dataset_csv(
         "brdf_per_sr,theta_r_deg,theta_i_deg\n0.1,-30,15\n0.2,30,15\n0.3,30,45\n", {{"name", "x"}}));
-    const std::string of_json = canonical_text(api::read_dataset(R"({"channels": [{"name": "1", "scans": [
+    const std::string of_json = api::canonical_text(api::read_dataset(R"({"channels": [{"name": "1", "scans": [
         {"theta_i_deg": 15, "theta_r_deg": [-30], "brdf": [0.1]}, {"theta_i_deg": 15, "theta_r_deg": [30], "brdf": [0.2]},
         {"theta_i_deg": 45, "theta_r_deg": [30], "brdf": [0.3]}]}], "unit": "1/sr", "name": "x"})"));
     EXPECT_EQ(of_csv, of_json);
@@ -42,7 +42,7 @@ TEST(CanonicalText, ReadsAsTheSameMeasurements) {
         {"wavelength_nm": 550.5, "scans": [{"theta_i_deg": 15, "theta_r_deg": [-30, 0, -0.0], "brdf": [0.1, -1, 1e-300]}]},
         {"name": "b", "samples": {"theta_i_deg": [0, 10], "theta_r_deg": [0, 30], "phi_r_deg": [180, 180],
                                   "brdf": [1, 2], "sigma": [3, 4]}}]})");
-    EXPECT_EQ(api::read_dataset(canonical_text(dataset)), dataset);
+    EXPECT_EQ(api::read_dataset(api::canonical_text(dataset)), dataset);
 }
 
 TEST(CanonicalText, ChangesNoMoreOnceItIsWritten) {
@@ -54,9 +54,9 @@ TEST(CanonicalText, ChangesNoMoreOnceItIsWritten) {
         ASSERT_TRUE(direction);
         channel.samples.push_back({*direction, 1, {}});
         dataset.channels.push_back(channel);
-        const std::string text = canonical_text(dataset);
+        const std::string text = api::canonical_text(dataset);
         const optim::Dataset read = api::read_dataset(text);
-        ASSERT_EQ(canonical_text(read), text) << phi;
+        ASSERT_EQ(api::canonical_text(read), text) << phi;
         EXPECT_NEAR(read.channels[0].samples[0].direction.phi_deg, direction->phi_deg, 1e-13);
         EXPECT_EQ(read.channels[0].samples[0].direction.theta_r_deg, direction->theta_r_deg);
     }

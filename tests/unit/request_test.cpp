@@ -233,7 +233,7 @@ TEST(Request, TellsAllMistakesButNoMoreThanFifty) {
 }
 
 TEST(Request, RefusesWhatIsNotJson) {
-    EXPECT_EQ(refusal_of([] { (void)read_fit_request("{", catalogue()); }).status, 400);
+    EXPECT_EQ(refusal_of([] { (void)read_fit_request("{", catalogue()); }).type.status, 400);
 }
 
 // ---- CSV with its query ----
