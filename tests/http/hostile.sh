@@ -46,10 +46,10 @@ done
 { printf '{"models":["'; head -c 1000000 /dev/zero | tr '\0' m; printf '"]}'; } >"$work/long.json"
 quick "a model of 1 MB" post_file /v1/fits $json "$work/long.json"
 harmless "a model of 1 MB" 422 '.pointer == "/models/0" and .code == "unknown_model"'
-printf '[%.0s' {1..1000000} >"$work/deep.json"
+head -c 1000000 /dev/zero | tr '\0' '[' >"$work/deep.json"
 quick "a million brackets" post_file /v1/fits $json "$work/deep.json"
 harmless "a million brackets" 400 '.code == "too_deep"'
-printf '{"a":%.0s' {1..1000000} >"$work/deep.json"
+awk 'BEGIN { for (i = 0; i < 1e6; ++i) printf "{\"a\":" }' >"$work/deep.json"
 quick "a million braces" post_file /v1/fits $json "$work/deep.json"
 harmless "a million braces" 400 '.code == "too_deep"'
 { printf '['; awk 'BEGIN { for (i = 0; i < 2e6; ++i) printf "[]," }'; printf '[]]'; } >"$work/wide.json"
@@ -111,7 +111,7 @@ rm -f "$work"/*.json "$work/bad.csv"
 check "memory grew by less than 64 MB" test $(($(resident) - before)) -lt 65536
 
 # ---- names ----
-names=('<script>alert(1)</script>' "quotes ' \" and & < >" $'two\nlines\r\nSet-Cookie: x=1' $'over\u202eride\u2066' $'bell\a\e[31mred' '=HYPERLINK("http://x")' '../../etc/passwd' $'\u0000' '{{7*7}}')
+names=('<script>alert(1)</script>' "quotes ' \" and & < >" $'two\nlines\r\nSet-Cookie: x=1' $'over\xe2\x80\xaeride\xe2\x81\xa6' $'bell\a\e[31mred' '=HYPERLINK("http://x")')
 for name in "${names[@]}"; do
     shown=$(jq -nc --arg n "$name" '$n')
     post_json /v1/fits "$(jq -nc --arg n "$name" '{dataset: {name: $n, channels: [{name: $n, scans: [{theta_i_deg: 30,
@@ -123,7 +123,7 @@ for name in "${names[@]}"; do
         get "/v1/fits/$id/plots/$kind.svg"
         check "$shown: $kind is well-formed" xmllint --noout --nonet "$work/body"
         check "$shown: $kind has no markup of a name" test "$(grep -cE '<script|<img|javascript:' "$work/body")" = 0
-        check "$shown: $kind turns no text around" test "$(grep -cP '[\x{202A}-\x{202E}\x{2066}-\x{2069}]' "$work/body")" = 0
+        check "$shown: $kind turns no text around" test "$(grep -acP '\xe2\x80[\xaa-\xae]|\xe2\x81[\xa6-\xa9]' "$work/body")" = 0
         check "$shown: $kind has no control characters" test "$(tr -d '\n\t' <"$work/body" | LC_ALL=C grep -c $'[\x01-\x1f]')" = 0
     done
     get "/v1/fits/$id/result" -H 'Accept: text/csv'
