@@ -40,9 +40,9 @@ ChunkReader::State ChunkReader::read(std::string_view& input, std::string& body,
         if (part_ == Part::size) {
             const std::string_view digits = std::string_view(line_).substr(0, line_.find_first_of("; \t"));
             const auto [end, error] = std::from_chars(digits.data(), digits.data() + digits.size(), left_, 16);
-            if (error == std::errc::result_out_of_range) state_ = State::too_large;
-            else if (error != std::errc{} || end != digits.data() + digits.size()) state_ = State::malformed;
-            else if (left_ > largest - body.size()) state_ = State::too_large;
+            const bool is_size = error != std::errc::invalid_argument && end == digits.data() + digits.size();
+            if (!is_size) state_ = State::malformed;
+            else if (error != std::errc{} || left_ > largest - body.size()) state_ = State::too_large;
             part_ = left_ == 0 ? Part::trailer : Part::data;
         } else if (part_ == Part::end_of_data) {
             if (!line_.empty()) state_ = State::malformed;

@@ -30,7 +30,7 @@ Places::Taken Places::take(const std::string& client) {
         --taken_;
         if (--by_client_[*name] == 0) by_client_.erase(*name);
     };
-    return {Place(new std::string(client), give_back), std::nullopt};
+    return {Place(new std::string(client), give_back), std::nullopt};  // NOLINT(*NewDeleteLeaks): give_back deletes it
 }
 
 bool Rate::allows(const std::string& client, Clock::time_point now) {

@@ -1,6 +1,7 @@
 """Attacks on a server of this machine, over raw sockets, bounded in number and time.
 
-usage: guard.py PORT PROCESS [few_files]. Prints what failed, then "N passed, M failed".
+usage: guard.py PORT PROCESS [few_files] [tell]. Prints what failed, then "N passed, M failed"; with tell also memory and the
+worst probe at each step.
 """
 import json
 import os
@@ -139,9 +140,9 @@ def probe():
 
 def lives(name, limit=1.0):
     """The worst of ten probes."""
-    if "--memory" in sys.argv:
-        print(f"{name}: {memory() / MB:.1f} MB now, {memory('VmHWM') / MB:.1f} MB at most", flush=True)
     worst = max(probe() for _ in range(10))
+    if "tell" in sys.argv:
+        print(f"{name}: {memory() / MB:.1f} MB now, {memory('VmHWM') / MB:.1f} MB at most, {worst * 1000:.1f} ms")
     check(f"{name}: a probe is answered within {limit} s", worst < limit, worst)
     return worst
 
