@@ -25,7 +25,7 @@ struct SupervisorOptions {
 
 /// Keeps workers running on a store, and the store in order. With two or more, the first takes only jobs that somebody
 /// waits for, so that it is never busy with others; the rest take any, at a lower priority of their processes. One that
-/// ends is started again, at once the first time and later the oftener it ends; its jobs are given to others. The other
+/// ends is started again, ever later if it ends before it takes jobs; its own are given to others. The other
 /// workers start when the first has built all programs, for they find them on disk then.
 ///
 /// No OpenCL call is made in this process.
