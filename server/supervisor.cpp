@@ -406,7 +406,9 @@ std::vector<kernels::SelfTest> Supervisor::self_tests() const {
 }
 
 bool Supervisor::usable() const {
-    const std::lock_guard lock(impl_->mutex);
+    std::unique_lock lock(impl_->mutex);
+    // One that ended is soon there again.
+    impl_->changed.wait_for(lock, kForWorker, [this] { return impl_->stopping || impl_->anybody(); });
     return impl_->facts && impl_->facts->usable() && impl_->anybody();
 }
 

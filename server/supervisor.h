@@ -47,6 +47,7 @@ public:
     // Compute
     [[nodiscard]] kernels::DeviceInfo device() const override;
     [[nodiscard]] std::vector<kernels::SelfTest> self_tests() const override;
+    /// Waits a few seconds for a worker to be there.
     [[nodiscard]] bool usable() const override;
     [[nodiscard]] std::optional<std::string> refusal(kernels::Precision precision) const override;
     /// Asked once more of another worker if the first ends over it.
