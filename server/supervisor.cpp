@@ -41,9 +41,8 @@ constexpr milliseconds kPrune = 60s;
 constexpr milliseconds kSilence = 30s;   ///< a worker that does not answer for so long is killed: a lease is as long
 constexpr milliseconds kObedience = 6s;  ///< ... or whose job was cancelled that long ago; it ends itself before
 constexpr milliseconds kStop = 8s;
-constexpr milliseconds kFirstPause{100};  ///< before a worker is started again; doubled each time
+constexpr milliseconds kFirstPause{100};  ///< before a worker is started again; doubled if it was not ready
 constexpr milliseconds kLongestPause = 30s;
-constexpr milliseconds kHealthy = 60s;   ///< a worker that lived so long starts anew without delay
 constexpr unsigned kTries = 3;           ///< before the service begins without a worker
 constexpr milliseconds kForWorker = 5s;  ///< a question waits so long for a worker
 constexpr milliseconds kForAnswer = 60s;
@@ -121,9 +120,9 @@ struct Supervisor::Impl {
                 changed.wait(lock, [&] { return stopping || worker.number == 0 || rest_may_start; });
                 if (stopping) return;
             }
-            const Clock::time_point begun = Clock::now();
+            bool was_ready = false;
             try {
-                run(worker);
+                was_ready = run(worker);
             } catch (const std::exception& error) {
                 spdlog::error("worker {}: {}", worker.number, error.what());
             }
@@ -131,14 +130,14 @@ struct Supervisor::Impl {
             ++ends;
             rest_may_start = true;
             changed.notify_all();
-            if (Clock::now() - begun > kHealthy) pause = kFirstPause;
+            if (was_ready) pause = kFirstPause;  // a job that ended it is given up after three times
             if (changed.wait_for(lock, pause, [&] { return stopping; })) return;
             pause = std::min(2 * pause, kLongestPause);
         }
     }
 
-    /// From the start of a process to its end.
-    void run(Worker& worker) {
+    /// From the start of a process to its end; whether it took jobs.
+    bool run(Worker& worker) {
         const auto [ours, theirs] = socket_pair();
         const auto channel = std::make_shared<Channel>(ours);
         const std::string owner = make_job_id();
@@ -163,7 +162,7 @@ struct Supervisor::Impl {
             if (stopping) channel->send(Channel::Kind::stop);
         }
         while (auto message = channel->receive()) hear(worker, *message);
-        bury(worker);
+        return bury(worker);
     }
 
     void hear(Worker& worker, const Channel::Message& message) {
@@ -208,8 +207,8 @@ struct Supervisor::Impl {
         }
     }
 
-    /// Its channel is closed: it has ended, or it must.
-    void bury(Worker& worker) {
+    /// Its channel is closed: it has ended, or it must. Whether it took jobs.
+    bool bury(Worker& worker) {
         siginfo_t info{};
         const auto ended = [&](int more) {
             info = {};
@@ -222,13 +221,14 @@ struct Supervisor::Impl {
         }
         int status = 0;
         bool expected = false;
+        bool was_ready = false;
         std::string owner;
         {
             const std::lock_guard lock(mutex);  // nobody kills it any more: the number may be another's soon
             ::waitpid(worker.id, &status, 0);
             expected = stopping || !failure.empty();
             worker.id = 0;
-            worker.ready = false;
+            was_ready = std::exchange(worker.ready, false);
             worker.channel = nullptr;
             owner = std::exchange(worker.owner, "");
             for (auto& [number, question] : worker.questions) question.set_value(std::nullopt);
@@ -241,6 +241,7 @@ struct Supervisor::Impl {
             spdlog::error("the store: {}", error.what());
         }
         store.changes().tell(kQueue);
+        return was_ready;
     }
 
     // ---- all of them ----
@@ -407,7 +408,9 @@ std::vector<kernels::SelfTest> Supervisor::self_tests() const {
 }
 
 bool Supervisor::usable() const {
-    const std::lock_guard lock(impl_->mutex);
+    std::unique_lock lock(impl_->mutex);
+    // One that ended is soon there again.
+    impl_->changed.wait_for(lock, kForWorker, [this] { return impl_->stopping || impl_->anybody(); });
     return impl_->facts && impl_->facts->usable() && impl_->anybody();
 }
 

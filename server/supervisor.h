@@ -25,7 +25,7 @@ struct SupervisorOptions {
 
 /// Keeps workers running on a store, and the store in order. With two or more, the first takes only jobs that somebody
 /// waits for, so that it is never busy with others; the rest take any, at a lower priority of their processes. One that
-/// ends is started again, at once the first time and later the oftener it ends; its jobs are given to others. The other
+/// ends is started again, ever later if it ends before it takes jobs; its own are given to others. The other
 /// workers start when the first has built all programs, for they find them on disk then.
 ///
 /// No OpenCL call is made in this process.
@@ -47,6 +47,7 @@ public:
     // Compute
     [[nodiscard]] kernels::DeviceInfo device() const override;
     [[nodiscard]] std::vector<kernels::SelfTest> self_tests() const override;
+    /// Waits a few seconds for a worker to be there.
     [[nodiscard]] bool usable() const override;
     [[nodiscard]] std::optional<std::string> refusal(kernels::Precision precision) const override;
     /// Asked once more of another worker if the first ends over it.

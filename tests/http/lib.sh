@@ -7,6 +7,7 @@ repository=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
 BRDFIT=${BRDFIT:-$repository/build/brdfit}
 samples=$repository/samples
 work=$(mktemp -d)
+export XDG_DATA_HOME=$work/data # where a store is unless a test says otherwise
 servers=()
 passed=0
 failed=0
