@@ -319,9 +319,13 @@ Response Fits::post(const Call& call) {
     job.result_key = result_key_of(posted, request);
     job.reuse = !lists(request.header("Cache-Control"), "no-cache");
     job.idempotency = idempotency_key(request);
-    const Submitted submitted = store_.submit(job);
-
     using Outcome = Submitted::Outcome;
+    const auto submit = [&]() -> Submitted {
+        if (job.reuse && !job.idempotency)  // by reading alone, as this is asked often
+            if (auto kept = store_.find_result(job.result_key)) return {Outcome::reused, std::move(*kept)};
+        return store_.submit(job);
+    };
+    const Submitted submitted = submit();
     switch (submitted.outcome) {
         case Outcome::in_flight: throw Refusal({problem_type("in-flight"), "it is " + self_of(submitted.id), {}});
         case Outcome::other_body:

@@ -134,7 +134,7 @@ for name in "${names[@]}"; do
 done
 check "no name makes a line of the log" test "$(grep -cE '^Set-Cookie|^lines' "$log")" = 0
 check "no control characters in the log" test "$(LC_ALL=C grep -c $'[\x01-\x08\x0b-\x1f]' "$log")" = 0
-get '/v1/fits?state=%3Cscript%3E%0d%0aX: y'
+get '/v1/fits?state=%3Cscript%3E%0d%0aX:%20y'
 harmless "a query of markup" 422
 get "/v1/datasets/$(printf '%%2e%%2e%%2f%.0s' {1..20})etc/passwd"
 harmless "a path that climbs" 404
