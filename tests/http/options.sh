@@ -151,7 +151,8 @@ post_csv 'models=ward,phong&loss=chi2&seed=7&effort=draft&precision=double&time_
 answered "CSV with all columns and options" 200
 holds "CSV: channels" '[.channels[] | [.name, .wavelength_nm, .samples]] == [["a, b", 550, 155], ["red", 650.5, 155]]'
 holds "CSV: options" '.seed == 7 and .dataset.name == "two of them" and all(.channels[]; .fits | length == 2)'
-post_csv 'models=ward&unit=relative' "$work/scan.csv" -H 'Content-Type: Text/CSV; charset=utf-8'
+request POST '/v1/fits?models=ward&unit=relative' --data-binary "@$work/scan.csv" -H "$patient" \
+    -H 'Content-Type: Text/CSV; charset=utf-8'
 answered "content type with a parameter" 200
 holds "CSV: unit" '.dataset.unit == "relative"'
 finish
