@@ -235,7 +235,7 @@ private:
     template <class Work>
     auto write(const Work& work) {
         std::vector<std::string> changed;
-        const auto done = [&] {
+        auto done = [&] {
             const std::lock_guard lock(writing_);
             try {
                 SQLite::Transaction transaction(writer_->database(), SQLite::TransactionBehavior::IMMEDIATE);

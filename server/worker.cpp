@@ -116,7 +116,7 @@ public:
           channel_(channel) {}
 
     /// Returns when it has stopped.
-    void run(std::stop_token stop);
+    void run(const std::stop_token& stop);
     /// From any thread.
     void wake();
     void answer_ping() {
@@ -426,7 +426,7 @@ void Worker::questions() {
     }
 }
 
-void Worker::run(std::stop_token stop) {
+void Worker::run(const std::stop_token& stop) {
     const unsigned most = engine_.overlaps() ? 16 : std::max(4U, std::thread::hardware_concurrency());
     std::vector<std::jthread> slots;
     for (unsigned i = 0; i < most; ++i) slots.emplace_back([this] { slot(); });

@@ -118,6 +118,22 @@ wait_for_end "$stranger" 20
 check_equal "... and heeds SIGTERM" "$status" 0
 kill -CONT "$only"
 
+# ---- a worker that stands still in mid-fit ----
+if [[ -n ${BRDFIT_LONG-} ]]; then
+    require_server
+    check "two workers compute" until_true 60 workers_are 2
+    awk -F, '/^[0-9]/ { for (c = 0; c < 200; ++c) rows[c] = rows[c] $1 "," $2 "," $4 * (1 + c / 50) ",c" c "\n" }
+        END { print "theta_i_deg,theta_r_deg,brdf_per_sr,channel"; for (c = 0; c < 200; ++c) printf "%s", rows[c] }' \
+        "$file" >"$work/very_many.csv"
+    fit still effort=thorough "$work/very_many.csv"
+    check "a fit is under way" until_true 20 running
+    kill -STOP "$(sql 'SELECT owner FROM job WHERE state = 1' | xargs -I OWNER pgrep -P "$server" -f 'OWNER')"
+    wait "${fits[-1]}"
+    check_equal "a worker that stands still loses its fit when the lease ends" "$(cat "$work/still.status")" 200
+    check_equal "... to a second attempt" "$(sql 'SELECT max(attempt) FROM job')" 2
+    check "... and is killed" grep -q 'does not answer: it is killed' "$log"
+fi
+
 # ---- killed again and again, workers and servers, under a burst of fits ----
 ids=$work/acknowledged
 : >"$ids"
