@@ -18,16 +18,16 @@ enum Column { theta_i, theta_r, brdf, phi_i, phi_r, sigma, wavelength, channel, 
 struct ColumnRule {
     std::string_view name;
     bool required;
-    std::optional<std::string> (*bad)(double);
+    const Rule* bad;  ///< none for a name
 };
 constexpr std::array<ColumnRule, kColumns> kRules{{
-    {"theta_i_deg", true, bad_theta_i},
-    {"theta_r_deg", true, bad_theta_r},
-    {"brdf_per_sr", true, bad_brdf},
-    {"phi_i_deg", false, bad_phi},
-    {"phi_r_deg", false, bad_phi},
-    {"sigma", false, bad_sigma},
-    {"wavelength_nm", false, bad_wavelength},
+    {"theta_i_deg", true, &bad_theta_i},
+    {"theta_r_deg", true, &bad_theta_r},
+    {"brdf_per_sr", true, &bad_brdf},
+    {"phi_i_deg", false, &bad_phi},
+    {"phi_r_deg", false, &bad_phi},
+    {"sigma", false, &bad_sigma},
+    {"wavelength_nm", false, &bad_wavelength},
     {"channel", false, nullptr},
 }};
 
@@ -40,7 +40,7 @@ public:
     [[nodiscard]] bool empty() const { return errors_.empty(); }
     void throw_if_any() const {
         if (!errors_.empty())
-            throw Refusal({422, "invalid-request",
+            throw Refusal({problem_type("invalid-request"),
                            "line " + std::to_string(errors_.front().line.value_or(1)) + ": " + errors_.front().detail,
                            errors_});
     }
@@ -119,7 +119,8 @@ Header read_header(const std::vector<std::string>& names, std::size_t line, Erro
         const auto rule =
             std::find_if(kRules.begin(), kRules.end(), [&](const auto& r) { return r.name == trimmed(names[i]); });
         if (rule == kRules.end()) {
-            errors.add(line, i + 1, "unknown_key", "unknown column \"" + names[i] + "\"; valid are: " + valid);
+            errors.add(line, i + 1, "unknown_key",
+                       "unknown column \"" + names[i].substr(0, 40) + "\"; valid are: " + valid);
             continue;
         }
         std::size_t& place = header[static_cast<std::size_t>(rule - kRules.begin())];
@@ -153,7 +154,7 @@ Row read_row(const std::vector<std::string>& fields, const Header& header, std::
                        std::string(kRules[c].name) + " must be a finite number, not \"" + text.substr(0, 40) + "\"");
             continue;
         }
-        if (const auto reason = kRules[c].bad(*value)) errors.add(line, header[c] + 1, "out_of_range", *reason);
+        if (const auto reason = (*kRules[c].bad)(*value)) errors.add(line, header[c] + 1, "out_of_range", *reason);
         row.value[c] = *value;
     }
     return row;

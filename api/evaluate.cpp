@@ -29,8 +29,9 @@ struct Columns {
 };
 
 Field<Columns> column(std::string_view key, bool required, std::string_view doc, std::vector<double> Columns::*to,
-                      Check bad) {
-    return {key, required, doc, [=](const json& v, const Place& p, Columns& out) { out.*to = read_column(v, p, bad); }};
+                      const Rule& bad) {
+    return {key, required, doc, schema::array(schema::number(bad), 1, kMostRows),
+            [=](const json& v, const Place& p, Columns& out) { out.*to = read_column(v, p, bad); }};
 }
 
 const std::vector<Field<Columns>> kGeometryFields{
@@ -58,16 +59,19 @@ void read_geometry(const json& value, const Place& place, Raw& out) {
 }
 
 const std::vector<Field<Raw>> kFields{
-    {"model", true, "the model's name", [](const json& v, const Place& p, Raw& out) { out.model = read_text(v, p); }},
-    {"lobes", false, "number of lobes", [](const json& v, const Place&, Raw& out) { out.lobes = &v; }},
-    {"parameters", true, "a value for every parameter",
+    {"model", true, "the model's name", schema::named("ModelName"),
+     [](const json& v, const Place& p, Raw& out) { out.model = read_text(v, p); }},
+    {"lobes", false, "number of lobes, of a model that has them; as many as the parameters name if absent",
+     schema::Json({{"type", "integer"}, {"minimum", 1}}),
+     [](const json& v, const Place&, Raw& out) { out.lobes = &v; }},
+    {"parameters", true, "a value for every parameter of the model", schema::named("ParameterValues"),
      [](const json& v, const Place&, Raw& out) { out.parameters = &v; }},
-    {"wavelength_nm", false, "with it lengths are in um, without in wavelengths",
+    {"wavelength_nm", false, "with it lengths are in um, without in wavelengths", schema::number(bad_wavelength),
      [](const json& v, const Place& p, Raw& out) { out.wavelength_nm = read_checked(v, p, bad_wavelength); }},
-    {"precision", false, "arithmetic; auto: the best the device has",
+    {"precision", false, "arithmetic", precision_schema(),
      [](const json& v, const Place& p, Raw& out) { out.request.precision = read_precision(v, p); }},
-    {"geometry", true, "directions, as columns", read_geometry},
-    {"gradient", false, "whether slopes are wanted",
+    {"geometry", true, "directions, as columns", schema_of(kGeometryFields), read_geometry},
+    {"gradient", false, "whether slopes are wanted", schema::with_default(schema::boolean(), false),
      [](const json& v, const Place& p, Raw& out) {
          if (v.is_boolean()) out.request.gradient = v.get<bool>();
          else p.fail("wrong_type", "must be true or false");
@@ -123,6 +127,8 @@ void append(std::string& out, const double* values, std::size_t count, double fa
 }
 
 }  // namespace
+
+schema::Json evaluate_request_schema() { return schema_of(kFields); }
 
 EvaluateRequest read_evaluate_request(std::string_view body, const kernels::Catalogue& catalogue) {
     const json document = parse_json(body);

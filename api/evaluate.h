@@ -7,6 +7,7 @@
 #include <string_view>
 #include <vector>
 
+#include "api/schema.h"
 #include "kernels/engine.h"
 #include "kernels/evaluator.h"
 #include "kernels/geometry.h"
@@ -28,6 +29,8 @@ struct EvaluateRequest {
 /// Throws Refusal, as read_fit_request does. Every parameter of the model must be given, within its domain; a model
 /// with lobes has as many as `lobes` says, or as the parameters name.
 EvaluateRequest read_evaluate_request(std::string_view body, const kernels::Catalogue& catalogue);
+
+schema::Json evaluate_request_schema();
 
 /// { "values": [...], "gradient": { name: [...] } } with 17 significant digits, 9 in single precision: enough to give
 /// back the same bits. Slopes are by the parameters as they are on the wire.

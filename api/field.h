@@ -1,5 +1,5 @@
-/// A request field is declared once: its key, whether it must be there, what it means, how it is read. Reading, the
-/// error texts and the list of valid names follow from the same row.
+/// A request field is declared once: its key, whether it must be there, what it means, what it may hold, how it is
+/// read. Reading, the error texts, the list of valid names and the schema that is published follow from the same row.
 #pragma once
 
 #include <algorithm>
@@ -17,6 +17,7 @@
 #include "api/names.h"
 #include "api/problem.h"
 #include "api/samples.h"
+#include "api/schema.h"
 #include "kernels/model.h"
 
 namespace brdfit::api {
@@ -28,9 +29,12 @@ public:
 
     [[nodiscard]] Place at(std::string_view key) const { return {errors_, pointer_ + "/" + pointer_part(key)}; }
     [[nodiscard]] Place at(std::size_t index) const { return at(std::to_string(index)); }
+    [[nodiscard]] Place within(const std::string& parent) const { return {errors_, parent + pointer_}; }
     void fail(std::string code, std::string detail) const {
         if (errors_.size() < kMostErrors) errors_.push_back({pointer_, std::move(code), std::move(detail), {}, {}});
     }
+    /// Whether no further error would be kept: what is left need not be read.
+    [[nodiscard]] bool is_full() const { return errors_.size() >= kMostErrors; }
     [[nodiscard]] const std::string& pointer() const { return pointer_; }
 
 private:
@@ -43,8 +47,21 @@ struct Field {
     std::string_view key;
     bool required;
     std::string_view doc;
+    schema::Json schema;  ///< without the doc
     std::function<void(const nlohmann::json&, const Place&, T&)> read;
 };
+
+/// The schema of an object that read_object() reads.
+template <class T>
+schema::Json schema_of(const std::vector<Field<T>>& fields) {
+    schema::Json json{{"type", "object"}, {"properties", schema::Json::object()}};
+    for (const Field<T>& field : fields) {
+        json["properties"][std::string(field.key)] = schema::described(field.schema, field.doc);
+        if (field.required) json["required"].push_back(field.key);
+    }
+    json["additionalProperties"] = false;
+    return json;
+}
 
 /// Reads an object by its table of fields; unknown keys and missing required ones are errors.
 template <class T>
@@ -59,6 +76,7 @@ void read_object(const nlohmann::json& value, const Place& place, std::span<cons
         return text;
     };
     for (const auto& [key, member] : value.items()) {
+        if (place.is_full()) return;
         const auto field =
             std::find_if(fields.begin(), fields.end(), [&name = key](const auto& f) { return f.key == name; });
         if (field == fields.end()) place.at(key).fail("unknown_key", "unknown key; valid are: " + names());
@@ -126,6 +144,14 @@ inline std::optional<kernels::Precision> read_precision(const nlohmann::json& va
     return read_choice(value, place, kPrecisions);
 }
 
+inline schema::Json precision_schema() {
+    schema::Json json = schema::choice(kPrecisions);
+    json["enum"].insert(json["enum"].begin(), "auto");
+    json["description"] = "auto: the best the device has; " + json["description"].get<std::string>();
+    json["default"] = "auto";
+    return json;
+}
+
 /// The number of lobes, if the model has lobes and that many.
 inline std::optional<std::size_t> read_lobes(const nlohmann::json& value, const Place& place,
                                              const kernels::Family& family) {
@@ -164,13 +190,10 @@ inline bool same_length(const Place& place, std::string_view key, std::size_t le
 inline void refuse_if_any(std::vector<FieldError> errors) {
     if (errors.empty()) return;
     std::string detail = errors.front().pointer + ": " + errors.front().detail;
-    throw Refusal({422, "invalid-request", std::move(detail), std::move(errors)});
+    throw Refusal({problem_type("invalid-request"), std::move(detail), std::move(errors)});
 }
 
-/// Why a number is refused, or nothing (api/samples.h has those of measurements).
-using Check = std::optional<std::string> (*)(double);
-
-inline std::optional<double> read_checked(const nlohmann::json& value, const Place& place, Check bad) {
+inline std::optional<double> read_checked(const nlohmann::json& value, const Place& place, const Rule& bad) {
     const auto number = read_number(value, place);
     if (!number) return std::nullopt;
     if (const auto reason = bad(*number)) {
@@ -181,7 +204,7 @@ inline std::optional<double> read_checked(const nlohmann::json& value, const Pla
 }
 
 /// A column: an array of numbers. An element that is refused is 0; the request is refused anyway.
-inline std::vector<double> read_column(const nlohmann::json& value, const Place& place, Check bad) {
+inline std::vector<double> read_column(const nlohmann::json& value, const Place& place, const Rule& bad) {
     if (!value.is_array()) {
         place.fail("wrong_type", "must be an array of numbers");
         return {};

@@ -71,6 +71,9 @@ inline constexpr std::array<Named<optim::NoiseSource>, 4> kNoiseSources{{
     {optim::NoiseSource::given, "given", "sigma in the data"},
     {optim::NoiseSource::estimated, "estimated", "from differences of neighbouring samples"},
 }};
+/// States of a fit that was taken, those that end it last.
+inline constexpr std::array<std::string_view, 6> kFitStates{"queued",    "running", "cancelling",
+                                                            "succeeded", "failed",  "cancelled"};
 inline constexpr const auto& kLosses = optim::kLossNames;
 
 /// The value that an entry of a table names.

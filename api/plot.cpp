@@ -102,17 +102,18 @@ bool wanted(const PlotOptions& options, const std::string& model) {
     return chosen.empty() || std::find(chosen.begin(), chosen.end(), model) != chosen.end();
 }
 
-[[noreturn]] void refuse(std::string_view what, std::string_view got, const std::vector<std::string>& valid) {
+[[noreturn]] void refuse(const char* option, std::string_view what, std::string_view got,
+                         const std::vector<std::string>& valid) {
     constexpr std::size_t most = 30;
     std::string list;
     for (std::size_t i = 0; i < std::min(valid.size(), most); ++i) list += (i > 0 ? ", " : "") + valid[i];
     if (valid.size() > most) list += ", ...";
-    throw std::invalid_argument(fmt::format("no {} '{}' in this report; it has: {}", what, got, list));
+    throw InvalidPlot(option, fmt::format("no {} '{}' in this report; it has: {}", what, got.substr(0, 200), list));
 }
 
 /// The channels that the options name, once the options are found valid.
 std::vector<const ChannelReport*> chosen_channels(const Report& report, const PlotOptions& options) {
-    if (!(options.width >= 320 && options.width <= 4000)) throw std::invalid_argument("width must be 320 to 4000");
+    if (const auto reason = kPlotWidth(options.width)) throw InvalidPlot("width", *reason);
     std::vector<const ChannelReport*> chosen;
     std::vector<std::string> channels, models, angle_names;
     std::set<double> angles;
@@ -122,15 +123,16 @@ std::vector<const ChannelReport*> chosen_channels(const Report& report, const Pl
         chosen.push_back(&c);
         for (const optim::Sample& s : c.channel.samples) angles.insert(s.direction.theta_i_deg);
     }
-    if (chosen.empty()) refuse("channel", options.channel, channels);
+    if (chosen.empty()) refuse("channel", "channel", options.channel, channels);
     for (const auto& [model, repeat] : slots(report))
         if (repeat == 0) models.push_back(model);
     for (const std::string& m : options.models)
-        if (std::find(models.begin(), models.end(), m) == models.end()) refuse("model", m, models);
+        if (std::find(models.begin(), models.end(), m) == models.end()) refuse("models", "model", m, models);
     for (const double a : angles) angle_names.push_back(fmt::format("{:g}", a));
     for (const double a : options.theta_i_deg) {
         const auto same = [&](double b) { return same_angle(a, b); };
-        if (std::none_of(angles.begin(), angles.end(), same)) refuse("theta_i", fmt::format("{:g}", a), angle_names);
+        if (std::none_of(angles.begin(), angles.end(), same))
+            refuse("theta_i", "theta_i", fmt::format("{:g}", a), angle_names);
     }
     return chosen;
 }
@@ -555,6 +557,25 @@ void draw_errors(Svg& svg, const View& view, const SummaryAxes& axes, const Plot
     close_panel(svg, p);
 }
 
+// ---- the query ------------------------------------------------------------------------------------------------------
+
+const std::vector<Field<PlotOptions>> kPlotFields{
+    {"models", false, "names of models to draw; all if absent", schema::array(schema::text()),
+     [](const nlohmann::json& v, const Place& p, PlotOptions& out) {
+         for (std::size_t i = 0; i < v.size(); ++i) out.models.push_back(read_text(v[i], p.at(i)).value_or(""));
+     }},
+    {"theta_i", false, "incidence angles to draw, in degrees; all if absent", schema::array(schema::number()),
+     [](const nlohmann::json& v, const Place& p, PlotOptions& out) {
+         for (std::size_t i = 0; i < v.size(); ++i) out.theta_i_deg.push_back(read_number(v[i], p).value_or(0));
+     }},
+    {"width", false, "of the picture, in pixels", schema::with_default(schema::number(kPlotWidth), PlotOptions{}.width),
+     [](const nlohmann::json& v, const Place& p, PlotOptions& out) {
+         out.width = read_checked(v, p, kPlotWidth).value_or(out.width);
+     }},
+    {"channel", false, "its name; the first, in a summary all, if absent", schema::name(),
+     [](const nlohmann::json& v, const Place& p, PlotOptions& out) { out.channel = read_text(v, p).value_or(""); }},
+};
+
 }  // namespace
 
 std::string plot_brdf(const Report& report, const PlotOptions& options) { return plot_angles(report, options, true); }
@@ -599,5 +620,15 @@ std::string plot_summary(const Report& report, const PlotOptions& options) {
     y += draw_notes(svg, y, width, notes);
     return document({report.dataset, "models by loss, and their errors", text, width, y, options.width}, svg.out);
 }
+
+PlotOptions read_plot_options(const Query& query) {
+    std::vector<FieldError> errors;
+    PlotOptions options;
+    read_query<PlotOptions>(query, Place(errors, ""), kPlotFields, options);
+    refuse_if_any(std::move(errors));
+    return options;
+}
+
+std::vector<QueryParameter> plot_query() { return parameters_of(kPlotFields); }
 
 }  // namespace brdfit::api

@@ -1,19 +1,36 @@
 /// Error plots: a report drawn as SVG text.
 #pragma once
 
+#include <stdexcept>
 #include <string>
+#include <utility>
 #include <vector>
 
+#include "api/query.h"
 #include "optim/report.h"
 
 namespace brdfit::api {
 
+inline constexpr Rule kPlotWidth{320, false, 4000, false, "width must be 320 to 4000"};
+
+/// Options that the report does not allow.
+class InvalidPlot : public std::invalid_argument {
+public:
+    InvalidPlot(std::string option_in, const std::string& reason)
+        : std::invalid_argument(reason), option(std::move(option_in)) {}
+    std::string option;  ///< its name in a query
+};
+
 struct PlotOptions {
     std::vector<std::string> models{};  ///< names of models to draw, e.g. "ward"; empty: all
     std::vector<double> theta_i_deg{};  ///< incidence angles to draw; empty: all
-    double width = 960;                 ///< of the picture [px], 320..4000
+    double width = 960;                 ///< of the picture [px], kPlotWidth
     std::string channel{};              ///< empty: the first; in a summary: all
 };
+
+/// The options in a URL's query. Throws Refusal.
+PlotOptions read_plot_options(const Query& query);
+std::vector<QueryParameter> plot_query();
 
 /// Each of these is a pure function: the same report and options give the same bytes, whatever the locale. The text is
 /// a whole SVG document in UTF-8 with role="img", <title> and <desc>, white background, no script and no reference
@@ -26,7 +43,7 @@ struct PlotOptions {
 /// of incidence, values beyond an axis (arrows), models without a fit, incidence angles past the 24th, channels past
 /// the 12th.
 ///
-/// Angles in the report are finite; values, losses and errors need not be. Throws std::invalid_argument, naming the
+/// Angles in the report are finite; values, losses and errors need not be. Throws InvalidPlot, naming the
 /// valid ones, if options name a model, an incidence angle (to 1e-6 degrees) or a channel that the report lacks, if the
 /// width is out of range, or if the report has no channel.
 

@@ -1,39 +1,25 @@
 #include "api/problem.h"
 
-#include <map>
-
 #include <nlohmann/json.hpp>
 
 namespace brdfit::api {
-namespace {
-
-const char* title(int status) {
-    static const std::map<int, const char*> titles{{400, "Bad Request"},
-                                                   {404, "Not Found"},
-                                                   {405, "Method Not Allowed"},
-                                                   {409, "Conflict"},
-                                                   {411, "Length Required"},
-                                                   {413, "Content Too Large"},
-                                                   {415, "Unsupported Media Type"},
-                                                   {422, "Unprocessable Content"},
-                                                   {500, "Internal Server Error"},
-                                                   {503, "Service Unavailable"}};
-    const auto it = titles.find(status);
-    return it == titles.end() ? "Error" : it->second;
-}
-
-}  // namespace
-
 std::string pointer_part(std::string_view key) {
+    constexpr std::size_t kLongest = 200;
+    const bool is_long = key.size() > kLongest;
+    if (is_long) {
+        key = key.substr(0, kLongest);
+        while (!key.empty() && (static_cast<unsigned char>(key.back()) & 0xC0U) == 0x80U) key.remove_suffix(1);
+        if (!key.empty() && static_cast<unsigned char>(key.back()) >= 0xC0U) key.remove_suffix(1);  // its first byte
+    }
     std::string out;
     for (const char c : key) out += c == '~' ? std::string("~0") : c == '/' ? std::string("~1") : std::string(1, c);
-    return out;
+    return is_long ? out + "…" : out;
 }
 
 std::string to_json(const Problem& problem, const std::string& instance, const std::string& request_id) {
-    nlohmann::ordered_json body{{"type", "/problems/" + problem.type},
-                                {"title", title(problem.status)},
-                                {"status", problem.status},
+    nlohmann::ordered_json body{{"type", "/problems/" + std::string(problem.type.name)},
+                                {"title", problem.type.title},
+                                {"status", problem.type.status},
                                 {"detail", problem.detail},
                                 {"instance", instance},
                                 {"request_id", request_id}};
@@ -45,6 +31,15 @@ std::string to_json(const Problem& problem, const std::string& instance, const s
     }
     // A client's bytes may stand in a message: what is not UTF-8 is replaced, not thrown at.
     return body.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
+}
+
+std::string to_json(const ProblemType& type) {
+    return nlohmann::ordered_json{{"type", "/problems/" + std::string(type.name)},
+                                  {"title", type.title},
+                                  {"status", type.status},
+                                  {"doc", type.doc}}
+               .dump() +
+           "\n";
 }
 
 }  // namespace brdfit::api

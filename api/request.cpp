@@ -1,14 +1,14 @@
 #include "api/request.h"
 
-#include <charconv>
+#include <cmath>
 #include <set>
 
 #include <fmt/format.h>
-#include <boost/algorithm/string/split.hpp>
 
 #include "api/csv.h"
 #include "api/field.h"
 #include "api/json.h"
+#include "api/query.h"
 #include "api/samples.h"
 
 namespace brdfit::api {
@@ -24,10 +24,7 @@ using optim::Sample;
 using optim::Scene;
 
 constexpr double kLargestSeed = 9007199254740991;  // 2^53 - 1: exact in every JSON parser
-constexpr double kLongestTime_s = 3600;
 constexpr std::size_t kMostModels = 50;
-constexpr std::string_view kSceneKeys = "scene.";  // members of the scene in a query
-constexpr std::string_view kRequireKey = "require";
 
 // ---- options ----
 
@@ -39,22 +36,13 @@ void read_seed(const json& value, const Place& place, FitOptions& out) {
     else out.seed = static_cast<std::uint64_t>(*number);
 }
 
-void read_time_limit(const json& value, const Place& place, FitOptions& out) {
-    const auto number = read_number(value, place);
-    if (!number) return;
-    if (!(*number > 0 && *number <= kLongestTime_s)) place.fail("out_of_range", "must lie in (0, 3600]");
-    else out.time_limit = std::chrono::duration<double>(*number);
-}
+constexpr Rule bad_time_limit{0, true, 3600, false, "must lie in (0, 3600]"};
 
-std::optional<std::string> bad_exponent(double value) {
-    if (std::abs(value) <= optim::kSteepestCosine) return std::nullopt;
-    return fmt::format("must lie in [-{0:g}, {0:g}]", optim::kSteepestCosine);
-}
+const FitOptions kDefaults;
 
-std::optional<std::string> bad_threshold(double value) {
-    if (value >= optim::kLeastThreshold && value <= optim::kMostThreshold) return std::nullopt;
-    return fmt::format("must lie in [{:g}, {:g}]", optim::kLeastThreshold, optim::kMostThreshold);
-}
+static_assert(optim::kSteepestCosine == 4 && optim::kLeastThreshold == 0.5 && optim::kMostThreshold == 20);
+constexpr Rule bad_exponent{-optim::kSteepestCosine, false, optim::kSteepestCosine, false, "must lie in [-4, 4]"};
+constexpr Rule bad_threshold{optim::kLeastThreshold, false, optim::kMostThreshold, false, "must lie in [0.5, 20]"};
 
 /// Keys that check_together names as well.
 constexpr std::string_view kLossKey = "loss";
@@ -74,41 +62,55 @@ void read_require(const json& value, const Place& place, FitOptions& out) {
     }
 }
 
+schema::Json require_schema() { return schema::array(schema::choice(kRequirements), 0, kRequirements.size()); }
+
 const std::vector<Field<FitOptions>> kOptionFields{
     {kLossKey, false, "what is minimised",
+     schema::with_default(schema::choice(kLosses), name_of(kLosses, kDefaults.loss.kind)),
      [](const json& v, const Place& p, FitOptions& out) {
          if (const auto loss = read_choice(v, p, kLosses)) out.loss.kind = *loss;
      }},
-    {kExponentIKey, false, "of the loss cosine: a in cos(theta_i)^a; 0 if absent",
+    {kExponentIKey, false, "of the loss cosine: a in cos(theta_i)^a; 0 if absent", schema::number(bad_exponent),
      [](const json& v, const Place& p, FitOptions& out) {
          out.loss.cos_theta_i_exponent = read_checked(v, p, bad_exponent);
      }},
-    {kExponentRKey, false, "of the loss cosine: b in cos(theta_r)^b; 1 if absent",
+    {kExponentRKey, false, "of the loss cosine: b in cos(theta_r)^b; 1 if absent", schema::number(bad_exponent),
      [](const json& v, const Place& p, FitOptions& out) {
          out.loss.cos_theta_r_exponent = read_checked(v, p, bad_exponent);
      }},
     {"robust", false, "what takes the place of the loss's squares, against outliers",
+     schema::with_default(schema::choice(kRobusts), name_of(kRobusts, kDefaults.loss.robust)),
      [](const json& v, const Place& p, FitOptions& out) {
          if (const auto robust = read_choice(v, p, kRobusts)) out.loss.robust = *robust;
      }},
     {kThresholdKey, false, "of a robust loss, in robust standard deviations; 1.345 for huber, 2.385 for cauchy",
+     schema::number(bad_threshold),
      [](const json& v, const Place& p, FitOptions& out) {
          out.loss.robust_threshold = read_checked(v, p, bad_threshold);
      }},
     {"effort", false, "how much the search may spend",
+     schema::with_default(schema::choice(kEfforts), name_of(kEfforts, kDefaults.effort)),
      [](const json& v, const Place& p, FitOptions& out) {
          if (const auto effort = read_choice(v, p, kEfforts)) out.effort = *effort;
      }},
-    {"precision", false, "arithmetic of the search; auto: the best the device has",
-     [](const json& v, const Place& p, FitOptions& out) { out.precision = read_precision(v, p); }},
-    {"seed", false, "of the starts; the same seed gives the same result", read_seed},
-    {"time_limit_s", false, "of the whole request, in seconds", read_time_limit},
-    {kRequireKey, false, "what a fit must keep to", read_require},
-    {"judge", false, "also held-out errors, albedo and physics",
+    {"precision", false, "arithmetic of the search; what is reported is computed in double where that may be used",
+     precision_schema(), [](const json& v, const Place& p, FitOptions& out) { out.precision = read_precision(v, p); }},
+    {"seed", false, "of the starts; the same seed gives the same result",
+     schema::with_default(schema::whole(0, kLargestSeed), kDefaults.seed), read_seed},
+    {"time_limit_s", false, "of the whole request, in seconds",
+     schema::with_default(schema::number(bad_time_limit), kDefaults.time_limit.count()),
+     [](const json& v, const Place& p, FitOptions& out) {
+         if (const auto seconds = read_checked(v, p, bad_time_limit))
+             out.time_limit = std::chrono::duration<double>(*seconds);
+     }},
+    {"require", false, "what a fit must keep to", require_schema(), read_require},
+    {"judge", false, "also held-out errors, rivals, albedo, physics, cost and a recommendation",
+     schema::with_default(schema::boolean(), kDefaults.judge),
      [](const json& v, const Place& p, FitOptions& out) {
          if (const auto judge = read_flag(v, p)) out.judge = *judge;
      }},
     {"rank_by", false, "what fits are sorted by",
+     schema::with_default(schema::choice(kRankBy), name_of(kRankBy, kDefaults.rank_by)),
      [](const json& v, const Place& p, FitOptions& out) {
          if (const auto rank_by = read_choice(v, p, kRankBy)) out.rank_by = *rank_by;
      }},
@@ -116,16 +118,24 @@ const std::vector<Field<FitOptions>> kOptionFields{
 
 // ---- scene ----
 
-constexpr double kLargestTolerance_log10 = 10;
+const Scene kAnyScene;
+constexpr Rule bad_scene_angle{0, false, 90, false, "must lie in [0, 90]"};
+constexpr Rule bad_outside_weight{0, false, 1, true, "must lie in [0, 1)"};
+constexpr Rule bad_tolerance{0, true, 10, false, "must lie in (0, 10]"};
+constexpr Rule bad_ns{0, true, 1e9, false, "must lie in (0, 1e9]"};
 
+/// These fields are read into FitOptions::scene, which is there.
 Field<FitOptions> angles_field(std::string_view key, std::string_view doc, Interval Scene::*angles) {
-    return {key, false, doc, [=](const json& v, const Place& p, FitOptions& out) {
-                if (!v.is_array() || v.size() != 2 || !v[0].is_number() || !v[1].is_number())
-                    return p.fail("wrong_type", "must be [low, high]");
-                const Interval interval{v[0].get<double>(), v[1].get<double>()};
-                if (!(0 <= interval.min && interval.min <= interval.max && interval.max <= 90))
-                    return p.fail("out_of_range", "must be 0 <= low <= high <= 90");
-                (*out.scene).*angles = interval;
+    return {key, false, doc,
+            schema::with_default(schema::array(schema::number(bad_scene_angle), 2, 2),
+                                 {(kAnyScene.*angles).min, (kAnyScene.*angles).max}),
+            [=](const json& v, const Place& p, FitOptions& out) {
+                if (!v.is_array() || v.size() != 2) return p.fail("wrong_type", "must be [low, high]");
+                const auto low = read_checked(v[0], p.at(std::size_t{0}), bad_scene_angle);
+                const auto high = read_checked(v[1], p.at(std::size_t{1}), bad_scene_angle);
+                if (!low || !high) return;
+                if (*low > *high) p.fail("out_of_range", "low must not be above high");
+                else (*out.scene).*angles = {*low, *high};
             }};
 }
 
@@ -133,27 +143,21 @@ const std::vector<Field<FitOptions>> kSceneFields{
     angles_field("theta_i_deg", "incidence angles that the scene sees, [low, high]", &Scene::theta_i_deg),
     angles_field("theta_r_deg", "exitant angles that the scene sees, without sign, [low, high]", &Scene::theta_r_deg),
     {"outside_weight", false, "weight of a sample outside, where one within has 1; 0: left out",
+     schema::with_default(schema::number(bad_outside_weight), kAnyScene.outside_weight),
      [](const json& v, const Place& p, FitOptions& out) {
-         const auto number = read_number(v, p);
-         if (!number) return;
-         if (!(*number >= 0 && *number < 1)) p.fail("out_of_range", "must lie in [0, 1)");
-         else out.scene->outside_weight = *number;
+         if (const auto weight = read_checked(v, p, bad_outside_weight)) out.scene->outside_weight = *weight;
      }},
     {"tolerance_log10", false, "the largest root mean square error that is good enough, in decades",
+     schema::with_default(schema::number(bad_tolerance), kAnyScene.tolerance_log10),
      [](const json& v, const Place& p, FitOptions& out) {
-         const auto number = read_number(v, p);
-         if (!number) return;
-         if (!(*number > 0 && *number <= kLargestTolerance_log10)) p.fail("out_of_range", "must lie in (0, 10]");
-         else out.scene->tolerance_log10 = *number;
+         if (const auto tolerance = read_checked(v, p, bad_tolerance)) out.scene->tolerance_log10 = *tolerance;
      }},
     {"max_ns_per_evaluation", false, "the most that an evaluation may cost on this device, in nanoseconds",
+     schema::number(bad_ns),
      [](const json& v, const Place& p, FitOptions& out) {
-         const auto number = read_number(v, p);
-         if (!number) return;
-         if (!(*number > 0)) p.fail("out_of_range", "must be above 0");
-         else out.scene->max_ns_per_evaluation = *number;
+         out.scene->max_ns_per_evaluation = read_checked(v, p, bad_ns);
      }},
-    {kRequireKey, false, "what a fit must keep to, as options.require", read_require},
+    {"require", false, "what a fit must keep to, beside options.require", require_schema(), read_require},
 };
 
 // ---- models ----
@@ -168,14 +172,16 @@ struct RawModel {
 };
 
 const std::vector<Field<RawModel>> kModelFields{
-    {"name", true, "the model's name",
+    {"name", true, "the model's name", schema::named("ModelName"),
      [](const json& v, const Place& p, RawModel& out) { out.name = read_text(v, p).value_or(""); }},
-    {"lobes", false, "number of lobes, or \"auto\"",
+    {"lobes", false, "number of lobes, of a model that has them; \"auto\": as few as the data support",
+     schema::with_default(schema::any_of({schema::constant("auto"), {{"type", "integer"}, {"minimum", 1}}}), "auto"),
      [](const json& v, const Place&, RawModel& out) { out.lobes = &v; }},
-    {"submodel", false, "a simpler form of the model, by its name",
+    {"submodel", false, "a simpler form of the model, by its name", schema::name(),
      [](const json& v, const Place&, RawModel& out) { out.submodel = &v; }},
-    {"fixed", false, "parameters held at a value", [](const json& v, const Place&, RawModel& out) { out.fixed = &v; }},
-    {"bounds", false, "parameters kept within [low, high]",
+    {"fixed", false, "parameters held at a value", schema::named("ParameterValues"),
+     [](const json& v, const Place&, RawModel& out) { out.fixed = &v; }},
+    {"bounds", false, "parameters kept within [low, high]", schema::map_of(schema::array(schema::number(), 2, 2)),
      [](const json& v, const Place&, RawModel& out) { out.bounds = &v; }},
 };
 
@@ -270,20 +276,21 @@ struct Columns {
 };
 
 Field<Columns> column_field(std::string_view key, bool required, std::string_view doc,
-                            std::vector<double> Columns::*column, Check bad) {
-    return {key, required, doc,
+                            std::vector<double> Columns::*column, const Rule& bad) {
+    return {key, required, doc, schema::array(schema::number(bad), 1, kMostSamples),
             [=](const json& v, const Place& p, Columns& out) { out.*column = read_column(v, p, bad); }};
 }
 
 Field<Columns> sigma_field() {
-    return {"sigma", false, "standard deviation of brdf, same unit", [](const json& v, const Place& p, Columns& out) {
+    return {"sigma", false, "standard deviation of brdf, same unit",
+            schema::array(schema::number(bad_sigma), 1, kMostSamples), [](const json& v, const Place& p, Columns& out) {
                 out.sigma = read_column(v, p, bad_sigma);
                 out.has_sigma = true;
             }};
 }
 
 const std::vector<Field<Columns>> kScanFields{
-    {"theta_i_deg", true, "incidence angle",
+    {"theta_i_deg", true, "incidence angle", schema::number(bad_theta_i),
      [](const json& v, const Place& p, Columns& out) { out.scan_theta_i = read_checked(v, p, bad_theta_i); }},
     column_field("theta_r_deg", true, "exitant angles, signed: positive = specular side", &Columns::theta_r,
                  bad_theta_r),
@@ -293,12 +300,13 @@ const std::vector<Field<Columns>> kScanFields{
 
 const std::vector<Field<Columns>> kSamplesFields{
     column_field("theta_i_deg", true, "incidence angles", &Columns::theta_i, bad_theta_i),
-    {"phi_i_deg", false, "azimuths of incidence; 0 if absent",
+    {"phi_i_deg", false, "azimuths of incidence; 0 if absent", schema::array(schema::number(bad_phi), 1, kMostSamples),
      [](const json& v, const Place& p, Columns& out) {
          out.phi_i = read_column(v, p, bad_phi);
          out.has_phi_i = true;
      }},
-    column_field("theta_r_deg", true, "exitant angles", &Columns::theta_r, bad_theta_r),
+    column_field("theta_r_deg", true, "exitant angles; if one is negative, signs count and must agree with phi",
+                 &Columns::theta_r, bad_theta_r),
     column_field("phi_r_deg", true, "exitant azimuths: phi_r - phi_i = 180 is the specular side", &Columns::phi_r,
                  bad_phi),
     column_field("brdf", true, "BRDF values", &Columns::brdf, bad_brdf),
@@ -354,16 +362,18 @@ void append_samples(const json& value, const Place& place, Channel& out) {
 }
 
 const std::vector<Field<Channel>> kChannelFields{
-    {"name", false, "name; the wavelength or the position if absent",
+    {"name", false, "name; the wavelength or the position if absent", schema::name(),
      [](const json& v, const Place& p, Channel& out) { out.name = read_text(v, p).value_or(""); }},
-    {"wavelength_nm", false, "wavelength",
+    {"wavelength_nm", false, "wavelength", schema::number(bad_wavelength),
      [](const json& v, const Place& p, Channel& out) { out.wavelength_nm = read_checked(v, p, bad_wavelength); }},
-    {"scans", false, "scans in the plane of incidence",
+    {"scans", false, "scans in the plane of incidence; a channel has these or samples, or both",
+     schema::array(schema_of(kScanFields)),
      [](const json& v, const Place& p, Channel& out) {
          if (!v.is_array()) return p.fail("wrong_type", "must be an array");
          for (std::size_t i = 0; i < v.size(); ++i) append_scan(v[i], p.at(i), out);
      }},
-    {"samples", false, "samples in any direction, as columns", append_samples},
+    {"samples", false, "samples in any direction, as columns of equal length", schema_of(kSamplesFields),
+     append_samples},
 };
 
 void read_channels(const json& value, const Place& place, Dataset& out) {
@@ -393,13 +403,14 @@ void read_channels(const json& value, const Place& place, Dataset& out) {
 }
 
 const std::vector<Field<Dataset>> kDatasetFields{
-    {"name", false, "of the surface",
+    {"name", false, "of the surface", schema::name(),
      [](const json& v, const Place& p, Dataset& out) { out.name = read_text(v, p).value_or(""); }},
-    {"unit", false, "of all BRDF values",
+    {"unit", false, "of all BRDF values", schema::with_default(schema::choice(kUnits), name_of(kUnits, Dataset{}.unit)),
      [](const json& v, const Place& p, Dataset& out) {
          if (const auto unit = read_choice(v, p, kUnits)) out.unit = *unit;
      }},
-    {"channels", true, "wavelengths or colours", read_channels},
+    {"channels", true, "wavelengths or colours", schema::array(schema_of(kChannelFields), 1, kMostChannels),
+     read_channels},
 };
 
 // ---- the whole ----
@@ -481,12 +492,16 @@ struct RawRequest {
 };
 
 const std::vector<Field<RawRequest>> kRequestFields{
-    {"dataset", true, "the measurements", [](const json& v, const Place&, RawRequest& out) { out.dataset = &v; }},
-    {"models", false, "models to fit; all if absent",
+    {"dataset", true, "the measurements, or the id of a stored dataset",
+     schema::any_of({schema::named("Dataset"), schema::named("DatasetId")}),
+     [](const json& v, const Place&, RawRequest& out) { out.dataset = &v; }},
+    {"models", false, "models to fit, by name or with settings; all if absent",
+     schema::array(schema::any_of({schema::named("ModelName"), schema_of(kModelFields)}), 1, kMostModels),
      [](const json& v, const Place&, RawRequest& out) { out.models = &v; }},
-    {"options", false, "options of the fit", [](const json& v, const Place&, RawRequest& out) { out.options = &v; }},
+    {"options", false, "options of the fit", schema_of(kOptionFields),
+     [](const json& v, const Place&, RawRequest& out) { out.options = &v; }},
     {"scene", false, "what the models are for: the cheapest that is good enough is recommended",
-     [](const json& v, const Place&, RawRequest& out) { out.scene = &v; }},
+     schema_of(kSceneFields), [](const json& v, const Place&, RawRequest& out) { out.scene = &v; }},
 };
 
 /// Models and options into the request, then the checks over everything.
@@ -506,80 +521,197 @@ void finish(const RawRequest& raw, const kernels::Catalogue& catalogue, FitReque
     refuse_if_any(std::move(errors));
 }
 
-/// "a,b,c" of a query.
-std::vector<std::string> names_in(const std::string& text) {
-    std::vector<std::string> names;
-    boost::algorithm::split(names, text, [](char c) { return c == ','; });
-    return names;
-}
-
-/// A query parameter's text as JSON: a number or a truth value where it is one, an array where commas are between.
-json query_value(const std::string& text) {
-    if (text.find(',') != std::string::npos) {
-        json values = json::array();
-        for (const std::string& part : names_in(text)) values.push_back(query_value(part));
-        return values;
-    }
-    if (text == "true" || text == "false") return text == "true";
-    double number = 0;
-    const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), number);
-    if (error == std::errc{} && end == text.data() + text.size() && std::isfinite(number)) return number;
-    if (text == "true" || text == "false") return text == "true";
-    return text;
-}
-
-}  // namespace
-
-FitRequest read_fit_request(std::string_view body, const kernels::Catalogue& catalogue) {
-    const json document = parse_json(body);
+/// A request of JSON that has been parsed.
+FitRequest read_document(const json& document, const kernels::Catalogue& catalogue, const DatasetSource& datasets) {
     std::vector<FieldError> errors;
     const Place root(errors, "");
     RawRequest raw;
     read_object<RawRequest>(document, root, kRequestFields, raw);
     FitRequest request;
-    if (raw.dataset != nullptr && raw.dataset->is_string())
-        root.at("dataset").fail("unknown_dataset", "there is no stored dataset of that id");
-    else if (raw.dataset != nullptr)
+    if (raw.dataset != nullptr && raw.dataset->is_string()) {
+        const Place place = root.at("dataset");
+        const auto body = datasets ? datasets(raw.dataset->get<std::string>()) : std::nullopt;
+        if (body) read_object<Dataset>(parse_json(*body), place, kDatasetFields, request.dataset);
+        else place.fail("unknown_dataset", "there is no stored dataset of that id");
+    } else if (raw.dataset != nullptr) {
         read_object<Dataset>(*raw.dataset, root.at("dataset"), kDatasetFields, request.dataset);
+    }
     finish(raw, catalogue, request, errors);
     return request;
 }
 
-FitRequest read_fit_request_csv(std::string_view body, const Query& query, const kernels::Catalogue& catalogue) {
-    FitRequest request;
-    std::vector<FieldError> errors;
-    const Place root(errors, "");
+// ---- what stands in the query beside a body of CSV ----
+
+struct CsvQuery {
     json models;
-    json options = json::object();
-    json dataset = json::object();
-    json scene;
-    for (const auto& [key, value] : query) {
-        const auto is_key = [&key = key](const auto& field) { return field.key == key; };
-        if (query.count(key) > 1) root.at(key).fail("duplicate_key", "the query parameter stands twice");
-        else if (key == "models") {
-            models = names_in(value);
-        } else if (key == "unit" || key == "name") dataset[key] = value;
-        else if (key == kRequireKey) options[key] = names_in(value);
-        else if (key == std::string(kSceneKeys) + std::string(kRequireKey))
-            scene[std::string(kRequireKey)] = names_in(value);
-        else if (std::any_of(kOptionFields.begin(), kOptionFields.end(), is_key)) options[key] = query_value(value);
-        else if (key.starts_with(kSceneKeys)) scene[key.substr(kSceneKeys.size())] = query_value(value);
-        else {
-            std::string names = "models, unit, name";
-            for (const auto& field : kOptionFields) names += ", " + std::string(field.key);
-            for (const auto& field : kSceneFields) names += ", " + std::string(kSceneKeys) + std::string(field.key);
-            root.at(key).fail("unknown_key", "unknown query parameter; valid are: " + names);
-        }
-    }
-    request.dataset = read_csv(body);
-    for (const auto& field : kDatasetFields)
-        if (dataset.contains(field.key)) field.read(dataset[field.key], root.at(field.key), request.dataset);
+    Dataset dataset;
+    FitOptions options;
+};
+
+bool is_simple(const schema::Json& schema) {
+    const std::string type = schema.value("type", "");
+    return type != "object" && (type != "array" || is_simple(schema["items"])) && !schema.contains("anyOf");
+}
+
+/// Fields of a part, as fields of the query: those that a query can hold. Errors tell where they stand in JSON.
+template <class Part>
+void append_simple(std::vector<Field<CsvQuery>>& fields, const std::vector<Field<Part>>& parts, Part CsvQuery::*part,
+                   const std::string& within = "") {
+    for (const Field<Part>& field : parts)
+        if (is_simple(field.schema))
+            fields.push_back({field.key, false, field.doc, field.schema,
+                              [read = field.read, part, within](const json& v, const Place& p, CsvQuery& out) {
+                                  read(v, p.within(within), out.*part);
+                              }});
+}
+
+const std::vector<Field<CsvQuery>> kDatasetQueryFields = [] {
+    std::vector<Field<CsvQuery>> fields;
+    append_simple(fields, kDatasetFields, &CsvQuery::dataset);
+    return fields;
+}();
+
+const std::vector<Field<CsvQuery>> kFitQueryFields = [] {
+    std::vector<Field<CsvQuery>> fields{{"models", false, "names of models to fit; all if absent",
+                                         schema::array(schema::named("ModelName"), 1, kMostModels),
+                                         [](const json& v, const Place&, CsvQuery& out) { out.models = v; }}};
+    append_simple(fields, kDatasetFields, &CsvQuery::dataset);
+    append_simple(fields, kOptionFields, &CsvQuery::options, "/options");
+    static const std::vector<std::string> keys = [] {
+        std::vector<std::string> names;
+        for (const Field<FitOptions>& field : kSceneFields) names.push_back("scene." + std::string(field.key));
+        return names;
+    }();
+    for (std::size_t i = 0; i < keys.size(); ++i)
+        fields.push_back({keys[i], false, kSceneFields[i].doc, kSceneFields[i].schema,
+                          [read = kSceneFields[i].read](const json& v, const Place& p, CsvQuery& out) {
+                              if (!out.options.scene) out.options.scene.emplace();
+                              read(v, p, out.options);
+                          }});
+    return fields;
+}();
+
+/// Names and unit from the query onto what the file holds.
+Dataset with_query(Dataset dataset, CsvQuery query) {
+    dataset.name = std::move(query.dataset.name);
+    dataset.unit = query.dataset.unit;
+    return dataset;
+}
+
+// ---- datasets as they are kept ----
+
+/// phi_r of a canonical direction where phi_i is 0 and theta_r has no sign.
+double azimuth_on_wire(const kernels::Direction& direction) {
+    return 180 + (direction.theta_r_deg < 0 ? 180 - direction.phi_deg : direction.phi_deg);
+}
+
+/// A sample in the plane of incidence, into the scan before it where it continues that one.
+void append_scan_sample(json& scans, const Sample& sample) {
+    const bool continues = !scans.empty() && scans.back()["theta_i_deg"] == sample.direction.theta_i_deg &&
+                           scans.back().contains("sigma") == sample.sigma.has_value();
+    if (!continues) scans.push_back({{"theta_i_deg", sample.direction.theta_i_deg}});
+    json& scan = scans.back();
+    scan["theta_r_deg"].push_back(sample.direction.theta_r_deg);
+    scan["brdf"].push_back(sample.brdf);
+    if (sample.sigma) scan["sigma"].push_back(*sample.sigma);
+}
+
+}  // namespace
+
+FitRequest read_fit_request(std::string_view body, const kernels::Catalogue& catalogue, const DatasetSource& datasets) {
+    return read_document(parse_json(body), catalogue, datasets);
+}
+
+FitRequest read_fit_request_csv(std::string_view body, const Query& query, const kernels::Catalogue& catalogue) {
+    std::vector<FieldError> errors;
+    CsvQuery read;
+    read_query<CsvQuery>(query, Place(errors, ""), kFitQueryFields, read);
+    FitRequest request;
+    request.dataset = with_query(read_csv(body), read);
+    request.options = read.options;
     RawRequest raw;
-    if (!models.is_null()) raw.models = &models;
-    raw.options = &options;
-    if (!scene.is_null()) raw.scene = &scene;
+    if (!read.models.is_null()) raw.models = &read.models;
     finish(raw, catalogue, request, errors);
     return request;
+}
+
+PostedFit read_posted_fit(std::string_view body, const kernels::Catalogue& catalogue, const DatasetSource& datasets) {
+    const json document = parse_json(body);
+    PostedFit posted{read_document(document, catalogue, datasets), document.dump(), {}};
+    if (document["dataset"].is_string()) posted.dataset = document["dataset"].get<std::string>();
+    return posted;
+}
+
+PostedFit read_posted_fit_csv(std::string_view body, const Query& query, const kernels::Catalogue& catalogue) {
+    PostedFit posted{read_fit_request_csv(body, query, catalogue), "", {}};
+    posted.text = json{{"csv", body}, {"query", query}}.dump(-1, ' ', false, json::error_handler_t::replace);
+    return posted;
+}
+
+FitRequest read_job(std::string_view text, std::string_view dataset, const kernels::Catalogue& catalogue) {
+    const json document = parse_json(text);
+    if (document.contains("csv"))
+        return read_fit_request_csv(document["csv"].get_ref<const std::string&>(), document["query"].get<Query>(),
+                                    catalogue);
+    return read_document(document, catalogue, [&](const std::string&) { return std::string(dataset); });
+}
+
+Dataset read_dataset(std::string_view body) {
+    const json document = parse_json(body);
+    std::vector<FieldError> errors;
+    const Place root(errors, "");
+    Dataset dataset;
+    read_object<Dataset>(document, root, kDatasetFields, dataset);
+    if (errors.empty())
+        for (std::size_t c = 0; c < dataset.channels.size(); ++c)
+            if (dataset.channels[c].samples.empty())
+                root.at("channels").at(c).fail("empty", "the channel has no samples");
+    refuse_if_any(std::move(errors));
+    return dataset;
+}
+
+Dataset read_dataset_csv(std::string_view body, const Query& query) {
+    std::vector<FieldError> errors;
+    CsvQuery read;
+    read_query<CsvQuery>(query, Place(errors, ""), kDatasetQueryFields, read);
+    Dataset dataset = with_query(read_csv(body), read);
+    refuse_if_any(std::move(errors));
+    return dataset;
+}
+
+schema::Json dataset_schema() { return schema_of(kDatasetFields); }
+schema::Json fit_request_schema() { return schema_of(kRequestFields); }
+std::vector<QueryParameter> dataset_query() { return parameters_of(kDatasetQueryFields); }
+std::vector<QueryParameter> fit_query() { return parameters_of(kFitQueryFields); }
+
+std::string canonical_text(const Dataset& dataset) {
+    json channels = json::array();
+    for (const Channel& channel : dataset.channels) {
+        json entry{{"name", channel.name}};
+        if (channel.wavelength_nm) entry["wavelength_nm"] = *channel.wavelength_nm;
+        json scans = json::array();
+        json samples = json::object();
+        for (const Sample& sample : channel.samples) {
+            const double phi_r = azimuth_on_wire(sample.direction);
+            // What reading will make of it: rounded once, and the same ever after.
+            const Sample kept{*direction_of(sample.direction.theta_i_deg, std::abs(sample.direction.theta_r_deg), 0,
+                                            phi_r, Signs::absent),
+                              sample.brdf, sample.sigma};
+            if (sample.direction.phi_deg == 0) append_scan_sample(scans, sample);
+            else if (kept.direction.phi_deg == 0) append_scan_sample(scans, kept);
+            else {
+                samples["theta_i_deg"].push_back(kept.direction.theta_i_deg);
+                samples["theta_r_deg"].push_back(std::abs(kept.direction.theta_r_deg));
+                samples["phi_r_deg"].push_back(phi_r);
+                samples["brdf"].push_back(kept.brdf);
+                if (kept.sigma) samples["sigma"].push_back(*kept.sigma);
+            }
+        }
+        if (!scans.empty()) entry["scans"] = std::move(scans);
+        if (!samples.empty()) entry["samples"] = std::move(samples);
+        channels.push_back(std::move(entry));
+    }
+    return json{{"name", dataset.name}, {"unit", name_of(kUnits, dataset.unit)}, {"channels", channels}}.dump();
 }
 
 }  // namespace brdfit::api

@@ -5,6 +5,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "api/evaluate.h"
 #include "api/names.h"
 #include "api/samples.h"
 
@@ -18,15 +19,16 @@ std::string text_of(const Json& body) { return body.dump(-1, ' ', false, Json::e
 Json number(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
 Json number(const std::optional<double>& value) { return value ? number(*value) : Json(nullptr); }
 
-std::string url_encoded(std::string_view text) {
-    constexpr std::string_view kHex = "0123456789ABCDEF";
-    std::string out;
-    for (const char c : text) {
-        const auto byte = static_cast<unsigned char>(c);
-        if (std::isalnum(byte) != 0 || c == '-' || c == '_' || c == '.' || c == '~') out += c;
-        else out += {'%', kHex[byte >> 4], kHex[byte & 15]};
-    }
-    return out;
+Json service_links() {
+    return {{"self", "/"},
+            {"service", "/v1"},
+            {"documentation", "/docs"},
+            {"openapi", "/openapi.json"},
+            {"models", "/v1/models"},
+            {"datasets", "/v1/datasets"},
+            {"fits", "/v1/fits"},
+            {"evaluate", "/v1/evaluate"},
+            {"health", "/health/ready"}};
 }
 
 Json device_json(const kernels::DeviceInfo& device) {
@@ -310,9 +312,28 @@ Json self_tests_json(std::span<const kernels::SelfTest> tests) {
 
 std::string version() { return BRDFIT_VERSION; }
 
-std::string to_json(const optim::Report& report, const std::string& id) {
+std::string url_encoded(std::string_view text) {
+    constexpr std::string_view kHex = "0123456789ABCDEF";
+    std::string out;
+    for (const char c : text) {
+        const auto byte = static_cast<unsigned char>(c);
+        if (std::isalnum(byte) != 0 || c == '-' || c == '_' || c == '.' || c == '~') out += c;
+        else out += {'%', kHex[byte >> 4], kHex[byte & 15]};
+    }
+    return out;
+}
+
+Json fit_links(const std::string& id) {
     const std::string self = "/v1/fits/" + id;
     const std::string plots = self + "/plots/";
+    return {{"self", self},
+            {"result", self + "/result"},
+            {"plots",
+             {{"brdf", plots + "brdf.svg"}, {"residual", plots + "residual.svg"}, {"summary", plots + "summary.svg"}}}};
+}
+
+std::string to_json(const optim::Report& report, const std::string& id) {
+    const std::string plots = "/v1/fits/" + id + "/plots/";
     bool any = false;
     Json channels = Json::array();
     for (const optim::ChannelReport& channel : report.channels) {
@@ -329,11 +350,7 @@ std::string to_json(const optim::Report& report, const std::string& id) {
               {"dataset", {{"name", report.dataset}, {"unit", name_of(kUnits, report.unit)}}}};
     if (report.scene) json["scene"] = scene_json(*report.scene);
     json["channels"] = std::move(channels);
-    json["links"] = {
-        {"self", self},
-        {"result", self + "/result"},
-        {"plots",
-         {{"brdf", plots + "brdf.svg"}, {"residual", plots + "residual.svg"}, {"summary", plots + "summary.svg"}}}};
+    json["links"] = fit_links(id);
     return text_of(json);
 }
 
@@ -409,9 +426,15 @@ std::string service_json(const kernels::DeviceInfo& device, std::span<const kern
                     {"version", version()},
                     {"device", device_json(device)},
                     {"selftest", self_tests_json(tests)},
-                    {"limits", {{"body_bytes", largest_body}, {"samples", kMostSamples}, {"channels", kMostChannels}}},
-                    {"links", {{"models", "/v1/models"}, {"fits", "/v1/fits"}, {"health", "/health/ready"}}}});
+                    {"limits",
+                     {{"body_bytes", largest_body},
+                      {"samples", kMostSamples},
+                      {"channels", kMostChannels},
+                      {"evaluate_rows", kMostRows}}},
+                    {"links", service_links()}});
 }
+
+std::string links_json() { return text_of({{"name", "brdfit"}, {"version", version()}, {"links", service_links()}}); }
 
 std::string ready_json(std::span<const kernels::SelfTest> tests, bool ready) {
     return text_of({{"status", ready ? "ready" : "unfit"}, {"selftest", self_tests_json(tests)}});

@@ -3,6 +3,9 @@
 
 #include <span>
 #include <string>
+#include <string_view>
+
+#include <nlohmann/json.hpp>
 
 #include "kernels/model.h"
 #include "kernels/selftest.h"
@@ -14,6 +17,12 @@ namespace brdfit::api {
 
 /// The version of this program, "1.2.3".
 std::string version();
+
+/// Text as a part of a URL's query.
+std::string url_encoded(std::string_view text);
+
+/// Where a fit's status, result and plots are.
+nlohmann::ordered_json fit_links(const std::string& id);
 
 /// The ranked fits of a job (WIRE: the answer of POST /v1/fits). Numbers are finite; what is not known is null.
 std::string to_json(const optim::Report& report, const std::string& id);
@@ -32,6 +41,8 @@ std::string to_json(const kernels::DeviceInfo& device, const optim::FitBench& be
 /// GET /v1: what this service is.
 std::string service_json(const kernels::DeviceInfo& device, std::span<const kernels::SelfTest> tests,
                          std::size_t largest_body);
+/// GET /: where to go.
+std::string links_json();
 
 /// GET /health/ready: whether the device is fit for work in some precision, and what its self-tests found.
 std::string ready_json(std::span<const kernels::SelfTest> tests, bool ready);

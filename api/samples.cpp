@@ -8,34 +8,6 @@
 #include <nlohmann/json.hpp>
 
 namespace brdfit::api {
-namespace {
-
-std::optional<std::string> unless(bool good, const char* reason) {
-    return good ? std::nullopt : std::optional<std::string>(reason);
-}
-
-}  // namespace
-
-std::optional<std::string> bad_theta_i(double degrees) {
-    return unless(degrees >= 0 && degrees < 90,
-                  "theta_i_deg must lie in [0, 90); the side of the specimen is the sign of theta_r_deg");
-}
-std::optional<std::string> bad_theta_r(double degrees) {
-    return unless(degrees > -90 && degrees < 90, "theta_r_deg must lie in (-90, 90)");
-}
-std::optional<std::string> bad_phi(double degrees) {
-    return unless(std::abs(degrees) <= 360, "phi must lie in [-360, 360]");
-}
-std::optional<std::string> bad_brdf(double value) {
-    return unless(std::abs(value) <= 1e30, "a BRDF value must be finite and at most 1e30 in size");
-}
-std::optional<std::string> bad_sigma(double value) {
-    return unless(value > 0 && value <= 1e30, "sigma must be positive and finite");
-}
-std::optional<std::string> bad_wavelength(double nm) {
-    return unless(nm >= 1 && nm <= 1e7, "wavelength_nm must lie in [1, 1e7]");
-}
-
 bool is_utf8(const std::string& text) {
     if (std::all_of(text.begin(), text.end(), [](char c) { return static_cast<unsigned char>(c) < 0x80; })) return true;
     try {

@@ -85,6 +85,18 @@ Markup escape(std::string_view text, double room) {
             case U'"': out += "&quot;"; break;
             case U'\'': out += "&#39;"; break;
             case U' ': out += ' '; break;
+            case 0x061C:  // what would turn the text around it about is shown, and does nothing
+            case 0x200E:
+            case 0x200F:
+            case 0x202A:
+            case 0x202B:
+            case 0x202C:
+            case 0x202D:
+            case 0x202E:
+            case 0x2066:
+            case 0x2067:
+            case 0x2068:
+            case 0x2069:
             case 0xFFFD: out += "\uFFFD"; break;
             default: out += text.substr(begin, at - begin);
         }

@@ -25,8 +25,9 @@ struct Markup {
     std::string xml;
 };
 
-/// UTF-8 as XML. Control characters are dropped, tabs and line ends become spaces; what is not UTF-8, or no character
-/// of XML, becomes U+FFFD. A text wider than `room` (in units of the font size, estimated) ends in an ellipsis.
+/// UTF-8 as XML. Control characters are dropped, tabs and line ends become spaces; what is not UTF-8, no character of
+/// XML, or would change the direction of the text becomes U+FFFD. A text wider than `room` (in units of the font size,
+/// estimated) ends in an ellipsis.
 Markup escape(std::string_view text, double room = kInfinity);
 
 /// `base` with a subscript, then `rest`; each is XML already.

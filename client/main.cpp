@@ -11,8 +11,6 @@
 #include <thread>
 #include <vector>
 
-#include <spdlog/sinks/stdout_sinks.h>
-#include <spdlog/spdlog.h>
 #include <CLI/CLI.hpp>
 
 #include "api/plot.h"
@@ -29,6 +27,7 @@
 #include "optim/bench.h"
 #include "optim/fit.h"
 #include "server/serve.h"
+#include "server/worker.h"
 
 namespace {
 
@@ -185,20 +184,71 @@ void bench_fit(const kernels::EngineOptions& options, const std::string& growth,
 }  // namespace
 
 int main(int argc, char** argv) {
-    spdlog::set_default_logger(
-        std::make_shared<spdlog::logger>("brdfit", std::make_shared<spdlog::sinks::stderr_sink_mt>()));
+    server::set_log_format(server::LogFormat::text);
     CLI::App app{"Fits reflectance models to BRDF measurements and ranks them."};
     app.set_version_flag("--version", api::version());
     app.require_subcommand(1);
 
     server::ServeOptions serve_options;
     CLI::App* serve = app.add_subcommand("serve", "Answer HTTP requests until SIGTERM");
-    serve->add_option("--host", serve_options.host, "Loopback address to bind")->capture_default_str();
+    serve->add_option("--host", serve_options.host, "Address to bind; one that others reach needs --api-keys")
+        ->capture_default_str();
     serve->add_option("--port", serve_options.port, "Port to bind; 0 takes a free one")
         ->check(CLI::Range(0, 65535))
         ->capture_default_str();
-    serve->add_option("--threads", serve_options.threads, "Searches at once; 0: one a core")
-        ->check(CLI::Range(0, 1024));
+
+    serve->add_option("--workers", serve_options.workers, "Processes that compute")
+        ->check(CLI::Range(1, 64))
+        ->capture_default_str();
+    serve->add_option("--store", serve_options.store,
+                      "File where jobs and results are kept (default: $XDG_DATA_HOME/brdfit/brdfit.db or "
+                      "~/.local/share/brdfit/brdfit.db)");
+    auto keep = serve_options.keep.count();
+    const std::map<std::string, decltype(keep)> ages{{"s", 1}, {"m", 60}, {"h", 3600}, {"d", 86400}};
+    serve->add_option("--keep", keep, "How long fits that have ended are kept, e.g. 30d; 0: for ever")
+        ->transform(CLI::AsNumberWithUnit(ages))
+        ->default_str("30d");
+    serve
+        ->add_option("--max-store", serve_options.most_bytes,
+                     "Size of the store beyond which the oldest fits are removed, e.g. 10GB; 0: no limit")
+        ->transform(CLI::AsSizeValue(true))
+        ->default_str("10GB");
+
+    server::WorkerOptions worker_options;
+    CLI::App* worker = app.add_subcommand("worker", "Compute the fits of a store until SIGTERM; serve starts its own");
+    worker->add_option("--store", worker_options.store, "File where jobs and results are kept")->required();
+    const std::map<std::string, server::Lane> lanes{{"any", server::Lane::any},
+                                                    {"interactive", server::Lane::interactive}};
+    worker->add_option("--lane", worker_options.lane, "any, or interactive: only fits that somebody waits for")
+        ->transform(CLI::CheckedTransformer(lanes));
+    worker->add_option("--nice", worker_options.niceness, "Added to the niceness of the process")
+        ->check(CLI::Range(0, 19));
+    worker->add_option("--channel", worker_options.channel)->group("");
+    worker->add_option("--owner", worker_options.owner)->group("");
+    for (auto& [command, threads] : {std::pair{serve, &serve_options.threads}, {worker, &worker_options.threads}})
+        command->add_option("--threads", *threads, "Searches at once in a worker; 0: one a core")
+            ->check(CLI::Range(0, 1024));
+
+    serve->add_option("--api-keys", serve_options.http.api_keys,
+                      "File of API keys, a line each: name:SHA-256 of the key; requests then need one");
+    serve->add_option("--max-body", serve_options.http.limits.largest_body, "Most bytes of a request's body, e.g. 64MB")
+        ->transform(CLI::AsSizeValue(false))
+        ->check(CLI::Range(std::size_t{1024}, std::size_t{1} << 30))
+        ->capture_default_str();
+    serve
+        ->add_option("--max-connections", serve_options.http.limits.most_connections,
+                     "Most connections at once, one peer half of them")
+        ->check(CLI::Range(8, 100000))
+        ->capture_default_str();
+    serve
+        ->add_option("--rate", serve_options.http.rate,
+                     "Most requests a second of a client, /health apart; 0: as many as come")
+        ->check(CLI::Range(0.0, 1e6))
+        ->capture_default_str();
+    const std::map<std::string, server::LogFormat> log_formats{{"text", server::LogFormat::text},
+                                                               {"json", server::LogFormat::json}};
+    serve->add_option("--log-format", serve_options.log_format, "text or json: lines on standard error")
+        ->transform(CLI::CheckedTransformer(log_formats));
 
     FitArguments fit_arguments;
     CLI::App* fit_command = app.add_subcommand("fit", "Fit a CSV file, or a JSON request, without a server");
@@ -239,13 +289,13 @@ int main(int argc, char** argv) {
     bool bench_json = false;
     for (CLI::App* command : {bench_device_command, bench_fit_command})
         command->add_flag("--json", bench_json, "Print JSON instead of a table");
-    for (CLI::App* command : {serve, fit_command, models, self_test_command, tune_command})
+    for (CLI::App* command : {serve, worker, fit_command, models, self_test_command, tune_command})
         command->add_option("--models", folders, "Folder with further model files (*.cl); may be given again")
             ->allow_extra_args(false)
             ->check(CLI::ExistingDirectory);
     kernels::EngineOptions engine_options;
     for (CLI::App* command :
-         {serve, fit_command, self_test_command, tune_command, bench_device_command, bench_fit_command}) {
+         {serve, worker, fit_command, self_test_command, tune_command, bench_device_command, bench_fit_command}) {
         command->add_option("--device", engine_options.device, "auto, cpu, gpu, or a part of the device's name")
             ->capture_default_str();
         command->add_option("--build-options", engine_options.build_options,
@@ -253,7 +303,7 @@ int main(int argc, char** argv) {
     }
     std::string cache_folder;
     bool no_cache = false;
-    for (CLI::App* command : {serve, fit_command, self_test_command, tune_command}) {
+    for (CLI::App* command : {serve, worker, fit_command, self_test_command, tune_command}) {
         command->add_option(
             "--cache", cache_folder,
             "Folder where compiled kernels are kept (default: $XDG_CACHE_HOME/brdfit or ~/.cache/brdfit)");
@@ -268,17 +318,19 @@ int main(int argc, char** argv) {
     // A write beyond a limit of the shell's then fails, as on a full disk.
     std::signal(SIGXFSZ, SIG_IGN);
 
-    serve_options.model_folders = fit_arguments.model_folders = folders;
+    serve_options.keep = std::chrono::seconds(keep);
+    serve_options.model_folders = worker_options.model_folders = fit_arguments.model_folders = folders;
     if (no_cache) engine_options.cache = "";
     else
         engine_options.cache =
             cache_folder.empty() ? kernels::default_cache_folder() : std::filesystem::absolute(cache_folder);
     engine_options.builder = "/proc/self/exe";
     engine_options.one_by_one = one_by_one;
-    serve_options.engine = fit_arguments.engine = engine_options;
+    serve_options.engine = worker_options.engine = fit_arguments.engine = engine_options;
     try {
         if (build->parsed()) kernels::build_programs(build_device, build_folder);
         if (serve->parsed()) server::serve(serve_options);
+        if (worker->parsed()) server::work(worker_options);
         if (fit_command->parsed() && !fit(fit_arguments)) return 1;
         if (self_test_command->parsed() && !self_test(engine_options, folders, self_test_json)) return 1;
         if (tune_command->parsed() && !tune(engine_options, folders)) return 1;

@@ -141,6 +141,9 @@ std::vector<Minimum> descend_together(const Landscape& landscape, const std::vec
         points.clear();
         for (const Descent* descent : running) points.push_back(descent->next());
         const std::vector<Look> looks = landscape(points);
+        double least = looks.front().value;
+        for (const Look& look : looks) least = std::min(least, look.value);
+        control.evaluated(looks.size(), least);
         for (std::size_t i = 0; i < running.size(); ++i) running[i]->receive(looks[i], goal);
         for (Descent* descent : running) {
             if (descent->over()) continue;

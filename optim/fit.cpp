@@ -735,6 +735,26 @@ std::vector<Form> with_simpler_forms(const std::vector<ModelRequest>& models) {
     return forms;
 }
 
+std::string name_of(const ModelRequest& model) {
+    return kernels::variant_name(model.family->name, model.lobes.value_or(0),
+                                 model.submodel != nullptr ? model.submodel->name : "");
+}
+
+/// Tells, however a task ends, that it is over.
+struct TaskEnd {
+    explicit TaskEnd(TaskProgress* progress) : progress_(progress) {}
+    ~TaskEnd() {
+        if (progress_ != nullptr) progress_->finish(relative_loss);
+    }
+    TaskEnd(const TaskEnd&) = delete;
+    TaskEnd& operator=(const TaskEnd&) = delete;
+
+    std::optional<double> relative_loss;
+
+private:
+    TaskProgress* progress_;
+};
+
 /// Drops fits of forms that turned out to be the same: "auto" had found that fewer lobes are enough.
 std::vector<Outcome<Fit>> distinct(const std::vector<Form>& forms, std::vector<Outcome<Fit>> outcomes) {
     std::set<std::tuple<std::size_t, std::size_t, std::string>> seen;
@@ -896,7 +916,7 @@ void Fitter::warm_up(const Model& model) {
 }
 
 Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& models, const FitOptions& options,
-                   std::stop_token stop) {
+                   std::stop_token stop, Progress* progress) {
     Report report{dataset.name,
                   dataset.unit,
                   options.seed,
@@ -929,9 +949,11 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
         if (directions.empty() || !same_directions(channel, directions.back().samples))
             directions.emplace_back(channel);
         noises.push_back(noise_of(channel));
-        for (const Form& form : forms)
+        for (const Form& form : forms) {
             works.push_back(
                 {engine_, channel, directions.back(), noises.back(), dataset.unit, form.model, options, control});
+            if (progress != nullptr) works.back().control.progress = &progress->add(channel.name, name_of(form.model));
+        }
     }
     const bool robust = options.loss.robust != Robust::none;
     std::vector<Outcome<Beginning>> beginnings;
@@ -943,9 +965,12 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
                 scales[i / forms.size()] = std::min(scales[i / forms.size()], beginnings[i].result->scale);
     }
     std::vector<Outcome<Fit>> outcomes = workers_->run(works, [&](std::size_t i) {
-        if (!robust) return fit_model(works[i], nullptr, 0);
-        if (!beginnings[i].result) throw SearchError(beginnings[i].failure.reason);
-        return fit_model(works[i], &*beginnings[i].result, scales[i / forms.size()]);
+        TaskEnd end(works[i].control.progress);
+        if (robust && !beginnings[i].result) throw SearchError(beginnings[i].failure.reason);
+        Fit fit = robust ? fit_model(works[i], &*beginnings[i].result, scales[i / forms.size()])
+                         : fit_model(works[i], nullptr, 0);
+        end.relative_loss = fit.relative_loss;
+        return fit;
     });
     for (std::size_t i = 0; i < beginnings.size(); ++i)
         if (!beginnings[i].result) outcomes[i].failure = beginnings[i].failure;

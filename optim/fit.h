@@ -15,6 +15,7 @@
 #include "kernels/model.h"
 #include "optim/dataset.h"
 #include "optim/loss.h"
+#include "optim/progress.h"
 #include "optim/report.h"
 #include "optim/scene.h"
 #include "optim/search.h"
@@ -92,10 +93,11 @@ public:
     /// Throws kernels::PrecisionError, kernels::BuildError, kernels::DeviceError.
     void warm_up(const kernels::Family& family);
 
-    /// Fits every model to every channel. A model that fails is in the report's failures. Throws
-    /// std::invalid_argument (see weigh), InvalidBounds and kernels::PrecisionError.
+    /// Fits every model to every channel. A model that fails is in the report's failures. `progress`: gets a task for
+    /// each before the first begins; may be nullptr. Throws std::invalid_argument (see weigh), InvalidBounds and
+    /// kernels::PrecisionError.
     Report fit(const Dataset& dataset, const std::vector<ModelRequest>& models, const FitOptions& options,
-               std::stop_token stop = {});
+               std::stop_token stop = {}, Progress* progress = nullptr);
 
     [[nodiscard]] kernels::Engine& engine() const { return engine_; }
     [[nodiscard]] kernels::CostBook& costs() { return costs_; }

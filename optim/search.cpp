@@ -59,6 +59,7 @@ struct Adapter {
                 return std::numeric_limits<double>::max();
             }
             const double value = objective(u, gradient);
+            control.evaluated(1, value);
             // SLSQP can spin for ever on a NaN.
             if (!std::isfinite(value) || !all_finite(gradient))
                 throw SearchError("the model gave a value that is not finite");
@@ -314,6 +315,8 @@ std::vector<double> SpaceLoss::screen(const std::vector<std::vector<double>>& po
         evaluate(std::span(points).subspan(first, count), false);
         for (std::size_t i = 0; i < count; ++i)
             if (std::isfinite(batch_.loss[i])) values[first + i] = batch_.loss[i] / scale2_;
+        control.evaluated(count, *std::min_element(values.begin() + static_cast<std::ptrdiff_t>(first),
+                                                   values.begin() + static_cast<std::ptrdiff_t>(first + count)));
     }
     return values;
 }
@@ -349,12 +352,14 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
         const Landscape landscape = [&](auto at) { return loss.looks(at); };
         for (Minimum& end : descend_together(landscape, starts, &loss == &exact ? kExactGoal : kQuickGoal, control))
             ends.push_back(std::move(end));
+        control.stepped();
         std::stable_sort(ends.begin(), ends.end(),
                          [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
     };
     const auto points = screening_points(space, budget.screened, control.seed);
     std::vector<std::vector<double>> starts = best_distinct(points, quick.screen(points, control), budget.starts);
     starts.insert(starts.end(), seeds.begin(), seeds.end());
+    control.stepped();
     if (budget.global_evaluations > 0) {
         const Objective objective = [&](std::span<const double> u, std::span<double> g) { return quick(u, g); };
         starts.push_back(explore(objective, d, budget.global_evaluations, control).u);

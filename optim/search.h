@@ -11,6 +11,7 @@
 
 #include "kernels/evaluator.h"
 #include "optim/loss.h"
+#include "optim/progress.h"
 #include "optim/report.h"
 #include "optim/space.h"
 
@@ -41,9 +42,16 @@ struct SearchControl {
     std::uint64_t seed = 1;  ///< shifts the low-discrepancy set
     std::chrono::steady_clock::time_point deadline = std::chrono::steady_clock::time_point::max();
     std::stop_token stop{};
+    TaskProgress* progress = nullptr;  ///< told what is done, if there is one
 
     /// Time has run out, or a stop was asked for.
     [[nodiscard]] bool over() const { return stop.stop_requested() || std::chrono::steady_clock::now() >= deadline; }
+    void evaluated(std::size_t candidates, double relative_loss2) const {
+        if (progress != nullptr) progress->evaluated(candidates, relative_loss2);
+    }
+    void stepped() const {
+        if (progress != nullptr) progress->stepped();
+    }
 };
 
 /// Where a search ended.

@@ -14,7 +14,7 @@ trap '[[ -z $server ]] || kill "$server" 2>/dev/null; rm -rf "$work"' EXIT
 # start_once: prints seconds to the line "listens", to the first fit's answer, and of processor time, of all processes.
 start_once() {
     local begin=$EPOCHREALTIME listens answered url='' status
-    "$program" serve --port 0 "$@" >"$work/log" 2>&1 &
+    "$program" serve --port 0 --store "$work/brdfit.db" "$@" >"$work/log" 2>&1 &
     server=$!
     until [[ $url ]]; do
         kill -0 "$server" 2>/dev/null || { cat "$work/log" >&2; exit 1; }

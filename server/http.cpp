@@ -1,272 +1,370 @@
 #include "server/http.h"
 
-#include <poll.h>
+#include <arpa/inet.h>
+#include <malloc.h>
 #include <sys/socket.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
-#include <atomic>
-#include <charconv>
 #include <chrono>
-#include <functional>
+#include <ctime>
 #include <optional>
 #include <stdexcept>
-#include <thread>
+#include <string_view>
+#include <utility>
 
 #include <httplib.h>
 #include <spdlog/spdlog.h>
+#include <boost/algorithm/string/predicate.hpp>
 
 #include "api/problem.h"
+#include "server/api_keys.h"
+#include "server/log.h"
 
 namespace brdfit::server {
 namespace {
 
-/// Threads that wait on sockets: a request that fits holds one, so more than there are cores.
-constexpr std::size_t kThreads = 32;
-constexpr std::size_t kRequestsOfAConnection = 1000;
+/// Blocks from this size on go back to the system when they are freed: bodies and answers.
+constexpr int kLargeBlock = 1 << 20;
+/// What a client that comes too early is told to wait, in seconds.
+constexpr const char* kRetryAfter = "1";
 
-bool is_request_id(const std::string& id) {
+bool is_request_id(std::string_view id) {
     const auto ok = [](unsigned char c) { return std::isalnum(c) != 0 || c == '.' || c == '_' || c == '-'; };
     return !id.empty() && id.size() <= 64 && std::all_of(id.begin(), id.end(), ok);
 }
 
-/// Control characters of a client do not reach the log.
-std::string printable(std::string text) {
-    for (char& c : text)
-        if (static_cast<unsigned char>(c) < 0x20 || c == 0x7f) c = '?';
-    return text;
+bool is_health(std::string_view path) { return path.starts_with("/health/"); }
+
+/// What everybody may see: whether the service works, and what it is.
+bool is_public(std::string_view path) {
+    return is_health(path) || path == "/" || path == "/openapi.json" || path == "/docs";
 }
 
-Request request_of(const httplib::Request& from) {
-    Request request;
-    request.method = from.method;
-    request.path = from.path;
-    request.query = {from.params.begin(), from.params.end()};
-    request.content_type = from.get_header_value("Content-Type");
-    request.id = from.get_header_value("X-Request-Id");
-    if (!is_request_id(request.id)) request.id = make_job_id();
-    return request;
+/// Whether a request may hold its thread for long, doing nothing.
+bool may_wait(const Request& request) {
+    return (request.method != "GET" && request.method != "HEAD" && request.method != "OPTIONS") ||
+           boost::algorithm::icontains(request.header("Prefer"), "wait");
 }
 
-void answer(const Request& request, const Response& response, httplib::Response& to) {
-    to.status = response.status;
-    to.set_content(response.body, response.content_type);
-    to.set_header("X-Request-Id", request.id);
-    to.set_header("X-Content-Type-Options", "nosniff");
-    for (const auto& [name, value] : response.headers) to.set_header(name, value);
+/// Of clients that have no name it is the address that counts.
+const std::string& client_of(const Exchange& exchange) {
+    return exchange.tenant.empty() ? exchange.address : exchange.tenant;
 }
 
-/// Why a body must not be read, if so: before a byte of it is taken.
-std::optional<api::Problem> bad_framing(const httplib::Request& request) {
-    const std::string length = request.get_header_value("Content-Length");
-    const bool chunked = request.has_header("Transfer-Encoding");
-    if (length.empty() && !chunked) return api::Problem{411, "length-required", "Content-Length must be given", {}};
-    if (request.has_header("Content-Encoding"))
-        return api::Problem{415, "unsupported-media-type", "the body must not be compressed", {}};
-    std::size_t bytes = 0;
-    const auto [end, error] = std::from_chars(length.data(), length.data() + length.size(), bytes);
-    if (!length.empty() && (error == std::errc::invalid_argument || end != length.data() + length.size()))
-        return api::Problem{400, "bad-request", "Content-Length must be a number", {}};
-    if (error == std::errc::result_out_of_range || bytes > kLargestBody)
-        return api::Problem{
-            413, "too-large", "the body may have at most " + std::to_string(kLargestBody) + " bytes", {}};
-    return std::nullopt;
+std::string date_now() {
+    const std::time_t now = std::time(nullptr);
+    std::tm parts{};
+    ::gmtime_r(&now, &parts);
+    std::array<char, 32> text{};
+    return {text.data(), std::strftime(text.data(), text.size(), "%a, %d %b %Y %H:%M:%S GMT", &parts)};
 }
 
-/// A connection with limits: a head of at most 64 KB that comes within 5 s, a body within 20 s.
-class Connection final : public httplib::Stream {
+/// The library reads a request line from here and writes an answer.
+class Bytes final : public httplib::Stream {
 public:
-    explicit Connection(socket_t socket) : socket_(socket) {}
+    Bytes(std::string input, const std::string& address, std::string& output)
+        : input_(std::move(input)), address_(address), output_(output) {}
 
-    void begin_head() { limit(kLargestHead, kHeadTime); }
-    void begin_body() { limit(2 * kLargestBody, kBodyTime); }  // chunks have their own framing
-    /// Waits for the next request; false if none comes while the server runs.
-    [[nodiscard]] bool wait(const std::function<bool()>& is_running) const {
-        if (begin_ < end_) return true;
-        const Clock::time_point until = Clock::now() + kIdleTime;
-        while (is_running() && Clock::now() < until)
-            if (poll_for(POLLIN, std::chrono::milliseconds(100))) return true;
-        return false;
-    }
-    /// Takes what the peer still sends, for a moment, so that it reads our answer before the connection is reset.
-    void drain() {
-        ::shutdown(socket_, SHUT_WR);
-        begin_ = end_ = 0;
-        limit(4 * kLargestBody, std::chrono::seconds(2));
-        std::array<char, 4096> sink{};
-        while (read(sink.data(), sink.size()) > 0) {
-        }
-    }
-
-    [[nodiscard]] bool is_readable() const override { return begin_ < end_ || poll_for(POLLIN, left()); }
-    [[nodiscard]] bool is_writable() const override { return poll_for(POLLOUT, kWriteTime); }
+    [[nodiscard]] bool is_readable() const override { return true; }
+    [[nodiscard]] bool is_writable() const override { return true; }
     ssize_t read(char* to, size_t size) override {
-        if (begin_ == end_) {
-            if (allowed_ == 0 || !poll_for(POLLIN, left())) return -1;
-            const ssize_t got = ::recv(socket_, buffer_.data(), std::min(buffer_.size(), allowed_), 0);
-            if (got <= 0) return got;
-            allowed_ -= static_cast<size_t>(got);
-            begin_ = 0;
-            end_ = static_cast<size_t>(got);
-        }
-        const size_t count = std::min(size, end_ - begin_);
-        std::copy_n(buffer_.data() + begin_, count, to);
-        begin_ += count;
+        const size_t count = std::min(size, input_.size() - read_);
+        std::copy_n(input_.data() + read_, count, to);
+        read_ += count;
         return static_cast<ssize_t>(count);
     }
     ssize_t write(const char* from, size_t size) override {
-        return is_writable() ? ::send(socket_, from, size, MSG_NOSIGNAL) : -1;
+        output_.append(from, size);
+        return static_cast<ssize_t>(size);
     }
-    void get_remote_ip_and_port(std::string& ip, int& port) const override { ip = "", port = 0; }
+    void get_remote_ip_and_port(std::string& ip, int& port) const override { ip = address_, port = 0; }
     void get_local_ip_and_port(std::string& ip, int& port) const override { ip = "", port = 0; }
-    [[nodiscard]] socket_t socket() const override { return socket_; }
+    [[nodiscard]] socket_t socket() const override { return -1; }
 
 private:
-    using Clock = std::chrono::steady_clock;
-    using Milliseconds = std::chrono::milliseconds;
-    static constexpr std::size_t kLargestHead = std::size_t{64} << 10;
-    static constexpr Milliseconds kHeadTime{5000};
-    static constexpr Milliseconds kBodyTime{20000};
-    static constexpr Milliseconds kIdleTime{5000};
-    static constexpr Milliseconds kWriteTime{5000};
-
-    void limit(std::size_t bytes, Milliseconds time) {
-        allowed_ = bytes;
-        deadline_ = Clock::now() + time;
-    }
-    [[nodiscard]] Milliseconds left() const {
-        return std::max(Milliseconds(0), std::chrono::duration_cast<Milliseconds>(deadline_ - Clock::now()));
-    }
-    [[nodiscard]] bool poll_for(short events, Milliseconds time) const {
-        pollfd descriptor{socket_, events, 0};
-        return ::poll(&descriptor, 1, static_cast<int>(time.count())) > 0;
-    }
-
-    socket_t socket_;
-    std::array<char, 16384> buffer_{};
-    size_t begin_ = 0;
-    size_t end_ = 0;
-    std::size_t allowed_ = 0;
-    Clock::time_point deadline_{};
+    std::string input_;
+    const std::string& address_;
+    std::string& output_;
+    size_t read_ = 0;
 };
 
-/// Set by a handler that refuses a request without reading its body, which the connection then still holds: the library
-/// serves a connection in one thread and would take the body for the next request.
-thread_local bool body_left_unread = false;
+/// What is answered to the request that the library has just read. The library calls back without saying for which
+/// connection: each runs on a thread of its own.
+using Answer = std::function<void(const httplib::Request&, httplib::Response&)>;
+thread_local const Answer* answer_now = nullptr;
 
-/// The library's server over our connections. A request that asks for a range gets the whole; one whose body must not
-/// be read is the connection's last.
-class LimitedServer final : public httplib::Server {
-    bool process_and_close_socket(socket_t socket) override {
-        Connection connection(socket);
-        bool last = false;
-        for (std::size_t left = keep_alive_max_count_; left > 0 && !last; --left) {
-            if (!connection.wait([this] { return svr_sock_ != INVALID_SOCKET; })) break;
-            connection.begin_head();
-            bool closed = false;
-            body_left_unread = false;
-            const bool served = process_request(connection, left == 1, closed, [&](httplib::Request& request) {
-                request.ranges.clear();
-                connection.begin_body();
-            });
-            last = !served || closed || body_left_unread;
-            if (body_left_unread) connection.drain();
-        }
-        ::shutdown(socket, SHUT_RDWR);
-        ::close(socket);
-        return true;
-    }
-};
-
-}  // namespace
-
-struct HttpServer::Impl {
-    explicit Impl(const Routes& routes_in) : routes(routes_in) {
-        server.new_task_queue = [] { return new httplib::ThreadPool(kThreads); };
-        server.set_keep_alive_max_count(kRequestsOfAConnection);
-        server.set_tcp_nodelay(true);
+/// The library, without its sockets and threads: it reads request lines and writes the heads of answers. Bodies,
+/// framing and limits are Listener's.
+class Library final : public httplib::Server {
+public:
+    Library() {
         // The stock options share the port with a second server (SO_REUSEPORT), which then answers half of the
         // requests.
-        server.set_socket_options([](socket_t socket) {
+        set_socket_options([](socket_t socket) {
             const int yes = 1;
             ::setsockopt(socket, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof yes);
         });
-        const httplib::Server::Handler plain = [this](const httplib::Request& from, httplib::Response& to) {
-            const Request request = request_of(from);
-            respond(request, routes.handle(request), to);
-        };
-        server.Get(".*", plain);
-        server.Options(".*", plain);
-        server.Delete(".*", plain);
-        const httplib::Server::HandlerWithContentReader with_body =
-            [this](const httplib::Request& from, httplib::Response& to, const httplib::ContentReader& read) {
-                Request request = request_of(from);
-                const auto refuse_unread = [&](const api::Problem& problem) {
-                    body_left_unread = true;
-                    to.set_header("Connection", "close");
-                    respond(request, problem_response(problem, request), to);
-                };
-                if (const auto problem = bad_framing(from)) return refuse_unread(*problem);
-                if (from.is_multipart_form_data())
-                    return refuse_unread({415, "unsupported-media-type", "a form is not accepted", {}});
-                bool too_large = false;  // chunked bodies tell no length
-                const bool whole = read([&](const char* data, std::size_t size) {
-                    too_large = request.body.size() + size > kLargestBody;
-                    if (too_large) return false;
-                    request.body.append(data, size);
-                    return true;
-                });
-                if (too_large)
-                    return refuse_unread(
-                        {413, "too-large", "the body may have at most " + std::to_string(kLargestBody) + " bytes", {}});
-                if (!whole) return refuse_unread({400, "bad-request", "the body is incomplete", {}});
-                respond(request, routes.handle(request), to);
+        set_pre_routing_handler([](const httplib::Request& from, httplib::Response& to) {
+            (*answer_now)(from, to);
+            return HandlerResponse::Handled;
+        });
+        set_post_routing_handler([](const httplib::Request&, httplib::Response& to) {
+            if (to.get_header_value("Connection") == "close") to.headers.erase("Keep-Alive");
+            if (to.status != 204 && to.status != 304) return;
+            for (const char* of_a_body : {"Content-Length", "Content-Type"}) to.headers.erase(of_a_body);
+        });
+    }
+    /// The listening socket, once it is bound; it is the caller's then.
+    socket_t take_socket() { return svr_sock_.exchange(INVALID_SOCKET); }
+    /// Reads the request line, has it answered, and appends the answer to output; false if it cannot be read.
+    bool process(const std::string& request_line, const std::string& address, bool last, const Answer& answer,
+                 std::string& output) {
+        Bytes bytes(request_line + "\r\n\r\n", address, output);
+        answer_now = &answer;
+        bool closed = false;
+        const bool done = process_request(bytes, last, closed, nullptr);
+        answer_now = nullptr;
+        return done;
+    }
+};
+
+/// A `?` within the query, which the library takes for a second one, is escaped.
+std::string one_query(std::string target) {
+    const std::size_t query = target.find('?');
+    for (std::size_t at = query; at != std::string::npos;) {
+        at = target.find('?', at + 1);
+        if (at != std::string::npos) target.replace(at, 1, "%3F");
+    }
+    return target;
+}
+
+}  // namespace
+
+bool is_loopback(const std::string& host) {
+    in_addr address{};
+    if (::inet_pton(AF_INET, host.c_str(), &address) == 1) return (ntohl(address.s_addr) >> 24U) == 127;
+    return host == "localhost" || host == "::1";
+}
+
+struct HttpServer::Impl final : Service {
+    Impl(Handler handler_in, const HttpOptions& options)
+        : handler(std::move(handler_in)),
+          rate(options.rate),
+          waiting(options.waiting, "requests at once that may wait"),
+          streams(options.streams, "streams at once"),
+          listener(options.limits, *this, metrics) {
+        if (!options.api_keys.empty()) keys.emplace(options.api_keys);
+        library.set_keep_alive_max_count(options.limits.most_requests);
+        library.set_keep_alive_timeout(
+            std::chrono::duration_cast<std::chrono::seconds>(options.limits.idle_time).count());
+        ::mallopt(M_MMAP_THRESHOLD, kLargeBlock);
+    }
+
+    // ---- what the listener asks ----
+
+    std::optional<api::Problem> admit(Exchange& exchange) override {
+        const std::string_view path = exchange.head.path();
+        if (keys) {
+            const auto sent = exchange.head.headers.find("Authorization");
+            const auto name = sent == exchange.head.headers.end() ? std::nullopt : keys->name_of(sent->second);
+            if (!name && !is_public(path))
+                return api::Problem{
+                    api::problem_type("unauthorized"), "an API key is needed: Authorization: Bearer KEY", {}};
+            exchange.tenant = name.value_or("");
+        }
+        if (!is_health(path) && !rate.allows(client_of(exchange), std::chrono::steady_clock::now()))
+            return api::Problem{
+                api::problem_type("too-many-requests"), "a client may not send so many requests a second", {}};
+        return std::nullopt;
+    }
+
+    void refuse(Exchange& exchange, const api::Problem& problem) override {
+        Request request = request_of(exchange);
+        request.path = exchange.head.path();
+        const Response response = problem_response(problem, request);
+        write(exchange, request.method == "HEAD" ? "HEAD / HTTP/1.1" : "GET / HTTP/1.1", response, request.id);
+        conclude(exchange, request, response, response.body.size());
+    }
+
+    void answer(Exchange& exchange) override {
+        metrics.add_requests(1);
+        try {
+            Request request = request_of(exchange);
+            Response response;
+            std::optional<Places::Taken> place;
+            const auto respond = [&](const httplib::Request& from, httplib::Response& to) {
+                request.path = from.path;
+                request.query = {from.params.begin(), from.params.end()};
+                response = respond_to(exchange, request, place);
+                fill(exchange, response, request.id, to);
             };
-        server.Post(".*", with_body);
-        server.Put(".*", with_body);
-        server.Patch(".*", with_body);
-        // What the library refuses itself (a bad request line, a URI too long) has no body yet.
-        server.set_error_handler([](const httplib::Request& from, httplib::Response& to) {
-            if (!to.body.empty()) return;
-            const Request request = request_of(from);
-            const int status = to.status;
-            answer(request, problem_response({status, "http", "the request cannot be served", {}}, request), to);
+            const Head& head = exchange.head;
+            const std::string line = head.method + " " + one_query(head.target) + " HTTP/1.1";
+            if (!library.process(line, exchange.address, exchange.last, respond, exchange.output))
+                throw std::runtime_error("the library cannot read a request line");
+            const std::size_t bytes = finish_stream(exchange, request, response);
+            conclude(exchange, request, response, bytes);
+        } catch (const std::exception& error) {
+            spdlog::error("{}: {}", exchange.head.target, error.what());
+            exchange.last = true;
+            if (exchange.output.empty())
+                refuse(exchange, {api::problem_type("internal"), "an error of the service; it has been logged", {}});
+        }
+        metrics.add_requests(-1);
+    }
+
+    // ---- parts of that ----
+
+    /// All but path and query, which the library decodes; the body is moved.
+    static Request request_of(Exchange& exchange) {
+        Request request;
+        request.method = exchange.head.method;
+        request.headers = std::move(exchange.head.headers);
+        request.body = std::move(exchange.body);
+        request.content_type = request.header("Content-Type");
+        request.id = request.header("X-Request-Id");
+        if (!is_request_id(request.id)) request.id = make_job_id();
+        request.tenant = exchange.tenant;
+        request.address = exchange.address;
+        return request;
+    }
+
+    /// place: kept as long as the answer takes.
+    Response respond_to(const Exchange& exchange, const Request& request, std::optional<Places::Taken>& place) {
+        if (request.path == "/metrics") return metrics_response(request);
+        if (may_wait(request)) {
+            place = waiting.take(client_of(exchange));
+            if (place->problem) return problem_response(*place->problem, request);
+        }
+        Response response = handler(request);
+        if (!response.stream) return response;
+        place = streams.take(client_of(exchange));
+        return place->problem ? problem_response(*place->problem, request) : response;
+    }
+
+    [[nodiscard]] Response metrics_response(const Request& request) const {
+        Response response;
+        if (request.method == "GET" || request.method == "HEAD") {
+            response.content_type = Metrics::kContentType;
+            response.body = metrics.text();
+        } else {
+            response = problem_response(
+                {api::problem_type("method-not-allowed"), request.method + " is not for this resource", {}}, request);
+            response.headers["Allow"] = "GET, HEAD";
+        }
+        response.route = "/metrics";
+        return response;
+    }
+
+    void fill(const Exchange& exchange, const Response& response, const std::string& id, httplib::Response& to) const {
+        to.status = response.status;
+        to.set_header("Date", date_now());
+        to.set_header("X-Request-Id", id);
+        to.set_header("X-Content-Type-Options", "nosniff");
+        to.set_header("Accept-Ranges", "none");
+        if (exchange.head.is_http_1_0 && !exchange.last) to.set_header("Connection", "keep-alive");
+        if (response.status == 429 || response.status == 503) to.headers.emplace("Retry-After", kRetryAfter);
+        if (response.status == 401) to.set_header("WWW-Authenticate", "Bearer");
+        for (const auto& [name, value] : response.headers) {
+            to.headers.erase(name);
+            to.set_header(name, value);
+        }
+        if (!response.stream) return to.set_content(response.body, response.content_type);
+        to.set_header("Connection", "close");  // the end of the connection is that of the body
+        // Content without a length: the library writes the head alone, and we what follows.
+        to.set_content_provider(response.content_type, [](std::size_t, httplib::DataSink& sink) {
+            sink.done();
+            return true;
         });
     }
 
-    void respond(const Request& request, const Response& response, httplib::Response& to) const {
-        spdlog::info("{} {} {} request {}", request.method, printable(request.path), response.status, request.id);
-        answer(request, response, to);
+    void write(Exchange& exchange, const std::string& line, const Response& response, const std::string& id) {
+        const Answer respond = [&](const httplib::Request&, httplib::Response& to) {
+            fill(exchange, response, id, to);
+        };
+        (void)library.process(line, exchange.address, exchange.last, respond, exchange.output);
     }
 
-    const Routes& routes;
-    LimitedServer server;
-    std::atomic<bool> stopping = false;
-    std::atomic<bool> finished = false;
+    /// Counts what goes by.
+    class CountedStream final : public Stream {
+    public:
+        explicit CountedStream(Stream& to) : to_(to) {}
+        bool write(std::string_view bytes) override {
+            bytes_ += bytes.size();
+            return to_.write(bytes);
+        }
+        [[nodiscard]] bool open() const override { return to_.open(); }
+        [[nodiscard]] bool stopping() const override { return to_.stopping(); }
+        [[nodiscard]] std::size_t bytes() const { return bytes_; }
+
+    private:
+        Stream& to_;
+        std::size_t bytes_ = 0;
+    };
+
+    /// Writes a streamed answer. Bytes of the answer's body.
+    std::size_t finish_stream(Exchange& exchange, const Request& request, const Response& response) {
+        if (!response.stream) return response.body.size();
+        exchange.last = true;
+        if (request.method == "HEAD") return 0;
+        metrics.add_streams(1);
+        CountedStream to(*exchange.stream);
+        if (to.write("")) response.stream(to);  // the head goes at once
+        metrics.add_streams(-1);
+        return to.bytes();
+    }
+
+    /// Counts and logs an answer.
+    void conclude(const Exchange& exchange, const Request& request, const Response& response, std::size_t bytes) {
+        const bool was_read = !exchange.head.method.empty();  // else a connection was refused, not a request
+        const std::chrono::duration<double> time =
+            was_read ? std::chrono::steady_clock::now() - exchange.begun : std::chrono::steady_clock::duration{};
+        metrics.count(
+            {was_read ? request.method : "none", response.route, response.status, time, request.body.size(), bytes});
+        if (was_read)
+            log_request({request.method, std::string(exchange.head.path()), response.status, bytes, 1000 * time.count(),
+                         request.id, request.tenant, request.address});
+    }
+
+    Handler handler;
+    Metrics metrics;
+    std::optional<ApiKeys> keys;
+    Rate rate;
+    Places waiting;
+    Places streams;
+    Library library;
+    Listener listener;
+    int socket = -1;
 };
 
-HttpServer::HttpServer(const Routes& routes) : impl_(std::make_unique<Impl>(routes)) {}
-HttpServer::~HttpServer() = default;
+HttpServer::HttpServer(Handler handler, const HttpOptions& options)
+    : impl_(std::make_unique<Impl>(std::move(handler), options)) {}
+HttpServer::~HttpServer() {
+    if (impl_->socket >= 0) ::close(impl_->socket);
+}
 
 int HttpServer::bind(const std::string& host, int port) {
-    const int bound = port == 0                                ? impl_->server.bind_to_any_port(host)
-                      : impl_->server.bind_to_port(host, port) ? port
-                                                               : -1;
+    if (!impl_->keys && !is_loopback(host))
+        throw std::runtime_error("without --api-keys the service binds loopback addresses only, not " + host);
+    const int bound = port == 0                                 ? impl_->library.bind_to_any_port(host)
+                      : impl_->library.bind_to_port(host, port) ? port
+                                                                : -1;
     if (bound < 0) throw std::runtime_error("cannot bind " + host + ":" + std::to_string(port) + ": is it in use?");
+    impl_->socket = impl_->library.take_socket();
     return bound;
 }
 
 void HttpServer::serve() {
-    if (!impl_->stopping) impl_->server.listen_after_bind();
-    impl_->finished = true;
+    try {
+        impl_->listener.run(std::exchange(impl_->socket, -1));
+    } catch (const std::runtime_error& error) {
+        spdlog::error("{}", error.what());
+    }
 }
 
-void HttpServer::stop() {
-    impl_->stopping = true;
-    // The library forgets a stop that comes before it listens.
-    while (!impl_->finished && !impl_->server.is_running()) std::this_thread::sleep_for(std::chrono::milliseconds(1));
-    impl_->server.stop();
-}
+void HttpServer::stop() { impl_->listener.stop(); }
+Metrics& HttpServer::metrics() { return impl_->metrics; }
 
 }  // namespace brdfit::server

@@ -1,81 +1,52 @@
-/// What the service answers, apart from HTTP's plumbing.
+/// All resources: which one a request is for, and what goes wrong.
 #pragma once
 
 #include <cstddef>
-#include <future>
-#include <map>
-#include <memory>
-#include <optional>
 #include <stop_token>
 #include <string>
 #include <vector>
 
 #include "api/problem.h"
-#include "api/request.h"
 #include "kernels/model.h"
-#include "kernels/selftest.h"
-#include "optim/fit.h"
-#include "server/job.h"
+#include "server/about.h"
+#include "server/compute.h"
+#include "server/datasets.h"
+#include "server/fits.h"
+#include "server/message.h"
+#include "server/route.h"
+#include "server/store.h"
 
 namespace brdfit::server {
 
-/// The most bytes a request's body may have.
+/// The most bytes a request's body may have, unless an option says otherwise.
 inline constexpr std::size_t kLargestBody = std::size_t{32} << 20;
-
-struct Request {
-    std::string method;
-    std::string path;  ///< decoded, without the query
-    api::Query query;
-    std::string content_type;  ///< as sent, with its parameters
-    std::string body;
-    std::string id;  ///< X-Request-Id
-};
-
-struct Response {
-    int status = 200;
-    std::string content_type = "application/json";
-    std::string body;
-    std::map<std::string, std::string> headers{};
-};
-
-/// Content types that POST on this path accepts, for Accept-Post; empty where nothing is posted.
-std::string accepted_types(const std::string& path);
 
 class Routes {
 public:
-    /// self_tests: what they found. By the first request those of the best precision have ended; who asks for another,
-    /// or for what they found, waits for all.
-    Routes(const kernels::Catalogue& catalogue, optim::Fitter& fitter, JobStore& store,
-           std::shared_future<std::vector<kernels::SelfTest>> self_tests, std::stop_token stop)
-        : catalogue_(catalogue),
-          fitter_(fitter),
-          store_(store),
-          self_tests_(std::move(self_tests)),
-          stop_(std::move(stop)) {}
+    /// largest_body: [bytes] of a request, to be told.
+    Routes(const kernels::Catalogue& catalogue, JobStore& store, Compute& compute, const std::stop_token& stop,
+           std::size_t largest_body = kLargestBody);
+    Routes(const Routes&) = delete;
+    Routes& operator=(const Routes&) = delete;
 
     /// Never throws: what goes wrong is a problem+json answer, and a line in the log.
     [[nodiscard]] Response handle(const Request& request) const;
 
 private:
-    [[nodiscard]] Response dispatch(const Request& request) const;
-    [[nodiscard]] Response post_fit(const Request& request) const;
-    [[nodiscard]] Response post_evaluate(const Request& request) const;
-    [[nodiscard]] Response get_ready() const;
-    /// The precision asked for, or the best; refused where it may not be used.
-    [[nodiscard]] kernels::Precision proven(std::optional<kernels::Precision> wanted, const std::string& pointer) const;
-    [[nodiscard]] Response get_models(const std::string& name) const;
-    [[nodiscard]] Response get_result(const std::string& id) const;
-    [[nodiscard]] Response get_plot(const std::string& id, const std::string& file, const api::Query& query) const;
-    [[nodiscard]] std::shared_ptr<const Job> job(const std::string& id) const;
+    struct Row {
+        Route route;
+        std::vector<std::string> parts;  ///< of the path's template
+    };
+    /// The problem as an answer, with what this resource accepts and allows.
+    [[nodiscard]] Response refusal(const api::Problem& problem, const Request& request) const;
+    /// route: set to the template of the path as soon as that is known.
+    [[nodiscard]] Response answer(const Request& request, std::string& route) const;
+    [[nodiscard]] Response dispatch(const Request& request, std::string& route) const;
 
-    const kernels::Catalogue& catalogue_;
-    optim::Fitter& fitter_;
-    JobStore& store_;
-    std::shared_future<std::vector<kernels::SelfTest>> self_tests_;
-    std::stop_token stop_;
+    Fits fits_;
+    Datasets datasets_;
+    About about_;
+    std::vector<Row> table_;
 };
-
-/// A problem as an answer.
-Response problem_response(const api::Problem& problem, const Request& request);
 
 }  // namespace brdfit::server

@@ -6,8 +6,7 @@
 #include <chrono>
 #include <csignal>
 #include <cstdio>
-#include <future>
-#include <span>
+#include <cstdlib>
 #include <stdexcept>
 #include <stop_token>
 #include <thread>
@@ -15,82 +14,41 @@
 #include <spdlog/spdlog.h>
 
 #include "api/response.h"
-#include "kernels/engine.h"
 #include "kernels/model.h"
-#include "kernels/selftest.h"
-#include "optim/fit.h"
 #include "server/http.h"
-#include "server/job.h"
 #include "server/routes.h"
+#include "server/store.h"
+#include "server/supervisor.h"
 
 namespace brdfit::server {
 namespace {
 
-/// Finished fits are kept for their plots: about 150 KB each for 300 samples.
-constexpr std::size_t kKeptBytes = std::size_t{256} << 20;
-
-void log(const kernels::SelfTest& test) {
-    if (test.passed()) return;
-    spdlog::error("{}", test.reason());
-    for (const kernels::ModelTest& model : test.models)
-        for (const std::string& failure : model.failures())
-            spdlog::error("{}: {}", kernels::variant_name(model.model, model.lobes), failure);
+/// What its workers are told of the service's options.
+std::vector<std::string> worker_arguments(const ServeOptions& options, const std::filesystem::path& store) {
+    std::vector<std::string> words{
+        "--store", store.string(), "--device", options.engine.device, "--threads", std::to_string(options.threads)};
+    if (!options.engine.build_options.empty()) words.push_back("--build-options=" + options.engine.build_options);
+    if (!options.engine.cache || options.engine.cache->empty()) words.emplace_back("--no-cache");
+    else words.insert(words.end(), {"--cache", options.engine.cache->string()});
+    for (const std::filesystem::path& folder : options.model_folders)
+        words.insert(words.end(), {"--models", folder.string()});
+    return words;
 }
-
-/// Proves the precisions of an engine one after the other.
-class SelfTester {
-public:
-    SelfTester(kernels::Engine& engine, std::span<const kernels::Family> families)
-        : engine_(engine), families_(families) {
-        for (const Precision precision : {Precision::double_precision, Precision::single_precision})
-            if (engine.supports(precision)) left_.push_back(precision);
-    }
-
-    /// Up to the first one that passes, the most precise ones first.
-    void prove_best() {
-        bool passed = false;
-        while (!passed && !left_.empty()) passed = prove_next();
-    }
-    /// The rest. All that was found.
-    std::vector<kernels::SelfTest> prove_others() {
-        while (!left_.empty()) (void)prove_next();
-        return std::move(found_);
-    }
-
-private:
-    using Precision = kernels::Precision;
-
-    bool prove_next() {
-        const Precision precision = left_.front();
-        left_.erase(left_.begin());
-        found_.push_back(kernels::prove(engine_, families_, precision, kernels::SelfTestForm::brief));
-        log(found_.back());
-        return found_.back().passed();
-    }
-
-    kernels::Engine& engine_;
-    std::span<const kernels::Family> families_;
-    std::vector<Precision> left_;
-    std::vector<kernels::SelfTest> found_;
-};
-
-/// Before a fit asks for them.
-void measure_costs(optim::Fitter& fitter, const kernels::Catalogue& catalogue, const std::stop_token& stop) try {
-    for (const kernels::Family& family : catalogue.families())
-        for (const kernels::Model& model : family.variants)
-            if (!stop.stop_requested()) (void)fitter.costs().cost(model);
-} catch (const std::exception& error) {
-    spdlog::error("costs were not measured: {}", error.what());
-}
-
-bool is_loopback(const std::string& host) { return host == "localhost" || host == "::1" || host.starts_with("127."); }
 
 }  // namespace
 
+std::filesystem::path default_store() {
+    const auto folder = [](const char* variable) {
+        const char* value = std::getenv(variable);
+        return std::filesystem::path(value == nullptr ? "" : value);
+    };
+    if (const auto data = folder("XDG_DATA_HOME"); data.is_absolute()) return data / "brdfit" / "brdfit.db";
+    if (const auto home = folder("HOME"); home.is_absolute()) return home / ".local/share/brdfit/brdfit.db";
+    throw std::runtime_error("there is no HOME to keep jobs in: say where with --store");
+}
+
 void serve(const ServeOptions& options) {
-    if (!is_loopback(options.host))
-        throw std::runtime_error("the service has no authentication yet: it binds loopback addresses only, not " +
-                                 options.host);
+    set_log_format(options.log_format);
     sigset_t signals;
     sigemptyset(&signals);
     sigaddset(&signals, SIGTERM);
@@ -98,45 +56,55 @@ void serve(const ServeOptions& options) {
     pthread_sigmask(SIG_BLOCK, &signals, nullptr);  // inherited by every thread: one waits for them
 
     const kernels::Catalogue catalogue(options.model_folders);
-    kernels::Engine engine(options.engine);
-    MemoryJobStore store(kKeptBytes);
-    const unsigned threads = options.threads != 0 ? options.threads : std::thread::hardware_concurrency();
-    optim::Fitter fitter(engine, threads);
+    const std::filesystem::path path =
+        std::filesystem::absolute(options.store.empty() ? default_store() : options.store);
+    SqliteOptions store_options{path.string()};
+    SupervisorOptions supervisor_options{options.workers, worker_arguments(options, path), {}};
+    if (options.keep.count() > 0) supervisor_options.retention.keep = options.keep;
+    if (options.most_bytes > 0) store_options.most_bytes = options.most_bytes;
+    supervisor_options.retention.most_bytes = store_options.most_bytes;
+    const std::unique_ptr<JobStore> store = open_sqlite(store_options);
     std::stop_source stop;
-    std::promise<std::vector<kernels::SelfTest>> self_tests;
-    const Routes routes(catalogue, fitter, store, self_tests.get_future().share(), stop.get_token());
-    HttpServer http(routes);
-    const int port = http.bind(options.host, options.port);  // a taken port is told before the compiler runs
-    // Fits are possible when one precision is proven; the other is while the first requests come.
-    SelfTester tester(engine, catalogue.families());
-    tester.prove_best();
-    if (engine.usable())
-        for (const kernels::Family& family : catalogue.families()) fitter.warm_up(family);
-    const std::jthread others([&] {
-        std::vector<kernels::SelfTest> found = tester.prove_others();
-        measure_costs(fitter, catalogue, stop.get_token());
-        self_tests.set_value(std::move(found));
-    });
-    const auto stop_building = [&] { engine.stop_building(); };
-    const std::stop_callback stopped(stop.get_token(), stop_building);
+    Supervisor supervisor(catalogue, *store, std::move(supervisor_options));
+    const Routes routes(catalogue, *store, supervisor, stop.get_token(), options.http.limits.largest_body);
+    HttpServer http(routes, options.http);
+    const int port = http.bind(options.host, options.port);  // a taken port is told before a compiler runs
 
-    std::atomic<bool> signalled = false;
+    enum class Phase { starting, serving, abandoned };
+    std::atomic<Phase> phase = Phase::starting;
+    const auto enter = [&phase](Phase next) {  // from the start; false if the other thread was quicker
+        Phase expected = Phase::starting;
+        return phase.compare_exchange_strong(expected, next);
+    };
+    std::atomic<bool> ended = false;
     std::jthread waiter([&](const std::stop_token& served) {
         int signal = 0;
         sigwait(&signals, &signal);
-        signalled = true;
-        spdlog::info("stopping on signal {}", signal);
+        if (!ended) spdlog::info("stopping on signal {}", signal);
         pthread_sigmask(SIG_UNBLOCK, &signals, nullptr);  // the next one ends the process
         stop.request_stop();
-        http.stop();
+        supervisor.stop();  // meanwhile requests are answered whose fits are soon done
+        if (!enter(Phase::abandoned) && !ended) http.stop();
         while (!served.stop_requested()) std::this_thread::sleep_for(std::chrono::milliseconds(5));  // to take that one
     });
+    const auto give_up = [&] {  // without a signal: the waiter waits for one
+        ended = true;
+        ::kill(::getpid(), SIGTERM);
+    };
+    try {
+        supervisor.start(stop.get_token());
+    } catch (...) {
+        if (enter(Phase::abandoned)) give_up();
+        throw;
+    }
+    if (!enter(Phase::serving)) return;
+    const auto device = supervisor.known_device();
     std::printf("brdfit %s listens on http://%s:%d, computing on %s\n", api::version().c_str(), options.host.c_str(),
-                port, engine.device().name.c_str());
+                port, device ? device->name.c_str() : "nothing yet: no worker runs");
     std::fflush(stdout);
     http.serve();
-    if (!signalled) {  // then the socket failed, and the waiter waits still
-        ::kill(::getpid(), SIGTERM);
+    if (!stop.stop_requested()) {
+        give_up();
         throw std::runtime_error("the listening socket failed");
     }
 }

@@ -24,13 +24,14 @@ std::optional<api::Problem> refusal_of(const Call& call) {
 
 /// Each error has its place and its words, and the answer is JSON whatever stood in the request.
 inline void check_refusal(const api::Problem& problem, std::string_view text) {
-    require(problem.status == 400 || problem.status == 422, "status " + std::to_string(problem.status));
+    require(problem.type.status == 400 || problem.type.status == 422, "status " + std::to_string(problem.type.status));
     require(!problem.errors.empty() && problem.errors.size() <= api::kMostErrors, "1 to 50 errors");
     for (const api::FieldError& error : problem.errors) {
         require(!error.code.empty() && !error.detail.empty(), "an error without words");
         require(error.line.has_value() == error.column.has_value(), "a line comes with its column");
         require(error.line.value_or(1) > 0 && error.column.value_or(1) > 0, "lines and columns count from 1");
-        require(problem.status == 422 || error.line.has_value(), "the text is at fault: " + error.code + " where?");
+        require(problem.type.status == 422 || error.line.has_value(),
+                "the text is at fault: " + error.code + " where?");
         for (const char* word : {"exception", "parse error", "std::"})
             require(error.detail.find(word) == std::string::npos || text.find(word) != std::string_view::npos,
                     "an exception's words: " + error.detail);

@@ -7,12 +7,13 @@ get /health/live
 answered "health" 200
 holds "health says live" '.status == "live"'
 
-for path in /v1 /; do
-    get $path
-    answered "GET $path" 200
-    holds "GET $path names the service" '.name == "brdfit" and (.version | test("^[0-9]+\\.[0-9]+\\.[0-9]+$"))
-        and .limits.body_bytes == 33554432 and (.device.type | IN("cpu", "gpu", "accelerator"))'
-done
+get /v1
+answered "GET /v1" 200
+holds "GET /v1 names the service" '.name == "brdfit" and (.version | test("^[0-9]+\\.[0-9]+\\.[0-9]+$"))
+    and .limits.body_bytes == 33554432 and (.device.type | IN("cpu", "gpu", "accelerator"))'
+get /
+answered "GET /" 200
+holds "GET / leads on" '.name == "brdfit" and .links.fits == "/v1/fits" and .links.openapi == "/openapi.json"'
 
 get /v1/models
 answered "models" 200

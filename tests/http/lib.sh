@@ -7,6 +7,7 @@ repository=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
 BRDFIT=${BRDFIT:-$repository/build/brdfit}
 samples=$repository/samples
 work=$(mktemp -d)
+export XDG_DATA_HOME=$work/data # where a store is unless a test says otherwise
 servers=()
 passed=0
 failed=0
@@ -49,11 +50,13 @@ finish() {
     exit $((failed > 0))
 }
 
-# start_server [option...]: sets url, server (its process) and log; false if it ends or does not answer in two minutes,
+# start_server [option...]: sets url, server (its process), store and log; false if it ends or does not answer in two minutes,
 # which a machine may need that has not yet compiled the kernels.
 start_server() {
     log=$work/server.${#servers[@]}.log
-    "$BRDFIT" serve --port 0 "$@" >"$log" 2>&1 &
+    store=${store_of_all:-$work/store.${#servers[@]}.db} # its own, unless a test says otherwise
+    : >"$log"
+    "$BRDFIT" serve --store "$store" --port 0 "$@" >"$log" 2>&1 &
     server=$!
     servers+=("$server")
     local end=$((SECONDS + 120))
@@ -94,10 +97,13 @@ request() {
 }
 get() { request GET "$@"; }
 
+# What a test does not say otherwise: this machine may be slow.
+patient='Prefer: wait=60'
 # post_json PATH_QUERY BODY [curl option...], the body from standard input where it is "-".
 post_json() {
     local path=$1 body=$2
     shift 2
+    [[ $* == *Prefer:* ]] || set -- "$@" -H "$patient"
     if [[ $body == - ]]; then cat >"$work/posted"; else printf '%s' "$body" >"$work/posted"; fi
     request POST "$path" -H 'Content-Type: application/json' --data-binary "@$work/posted" "$@"
 }
@@ -105,6 +111,7 @@ post_json() {
 post_csv() {
     local query=$1 file=$2
     shift 2
+    [[ $* == *Prefer:* ]] || set -- "$@" -H "$patient"
     request POST "/v1/fits${query:+?$query}" -H 'Content-Type: text/csv' --data-binary "@$file" "$@"
 }
 

@@ -184,6 +184,8 @@ post_csv 'models=ward&loss=cosine&cos_theta_i_exponent=1&cos_theta_r_exponent=2&
 holds "CSV: exponents and a robust loss" '.channels[0].loss | .cos_theta_i_exponent == 1 and .cos_theta_r_exponent == 2
     and .robust == "huber" and .robust_threshold == 1.5'
 post_csv 'models=ward&unit=relative' "$work/scan.csv" -H 'Content-Type: Text/CSV; charset=utf-8'
+request POST '/v1/fits?models=ward&unit=relative' --data-binary "@$work/scan.csv" -H "$patient" \
+    -H 'Content-Type: Text/CSV; charset=utf-8'
 answered "content type with a parameter" 200
 holds "CSV: unit" '.dataset.unit == "relative"'
 finish

@@ -26,7 +26,7 @@ Dataset dataset(std::vector<Channel> channels) { return {"", optim::Unit::per_st
 void expect_refused(const std::string& text, const std::vector<std::string>& places) {
     SCOPED_TRACE(text);
     const Problem problem = refusal_of([&] { (void)read_csv(text); });
-    EXPECT_EQ(problem.status, 422);
+    EXPECT_EQ(problem.type.status, 422);
     EXPECT_EQ(places_of(problem), places);
     for (const FieldError& error : problem.errors) EXPECT_EQ(error.pointer, "");
 }

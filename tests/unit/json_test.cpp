@@ -23,7 +23,7 @@ struct Mistake {
 void expect_refused(const Mistake& mistake) {
     SCOPED_TRACE(mistake.text.substr(0, 80));
     const Problem problem = refusal_of([&] { (void)parse_json(mistake.text); });
-    EXPECT_EQ(problem.status, mistake.status);
+    EXPECT_EQ(problem.type.status, mistake.status);
     EXPECT_EQ(errors_of(problem), std::vector{mistake.error});
     if (!mistake.place.empty()) {
         EXPECT_EQ(places_of(problem), std::vector{mistake.place});

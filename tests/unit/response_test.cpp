@@ -49,7 +49,8 @@ optim::Report report() {
     fit.held_out = optim::HeldOut{0.5, {}, 0.25, {{15, 0.5, {}}}};
     fit.correlations = {{"a", "b"}, {1, 0.5, 0.5, 1}};
     const optim::NoiseRecord noise{optim::NoiseSource::estimated, 0.25, 0.125, 0.0625};
-    optim::ChannelReport channel{{"grün & 1/2", 550, {{{15, 30, 0}, 1, {}}}}, {fit}, {}, {}, noise};
+    optim::ChannelReport channel{{"grün & 1/2", 550, {{{15, 30, 0}, 1, {}}}}, {fit}, {}, {}};
+    channel.noise = noise;
     return {"a surface",
             optim::Unit::per_steradian,
             7,
@@ -260,18 +261,21 @@ TEST(Response, SaysWhatTheSelfTestsFound) {
 }
 
 TEST(Problem, HasTheMembersOfRfc9457) {
-    const Json body = Json::parse(to_json(
-        Problem{422, "invalid-request", "x", {{"/a~1b", "c", "d", {}, {}}, {"", "e", "f", 3, 4}}}, "/v1/fits", "r"));
-    EXPECT_EQ(body,
-              Json::parse(R"({"type": "/problems/invalid-request", "title": "Unprocessable Content", "status": 422,
+    const Json body = Json::parse(
+        to_json(Problem{problem_type("invalid-request"), "x", {{"/a~1b", "c", "d", {}, {}}, {"", "e", "f", 3, 4}}},
+                "/v1/fits", "r"));
+    EXPECT_EQ(
+        body,
+        Json::parse(
+            R"({"type": "/problems/invalid-request", "title": "Something in the request is refused", "status": 422,
         "detail": "x", "instance": "/v1/fits", "request_id": "r", "errors": [
         {"pointer": "/a~1b", "code": "c", "detail": "d"},
         {"pointer": "", "code": "e", "detail": "f", "line": 3, "column": 4}]})"));
-    EXPECT_FALSE(Json::parse(to_json(Problem{404, "not-found", "x", {}}, "/", "r")).contains("errors"));
+    EXPECT_FALSE(Json::parse(to_json(Problem{problem_type("not-found"), "x", {}}, "/", "r")).contains("errors"));
 }
 
 TEST(Problem, SurvivesBytesThatAreNotUtf8) {
-    EXPECT_NO_THROW((void)to_json(Problem{404, "not-found", "\xff", {}}, "/\xfe", "r"));
+    EXPECT_NO_THROW((void)to_json(Problem{problem_type("not-found"), "\xff", {}}, "/\xfe", "r"));
 }
 
 TEST(Problem, EscapesPointers) {
