@@ -304,7 +304,7 @@ struct Variant {
     }
 
     Prepared prepared;
-    Weighted weighted;          ///< under the loss; once a robust fit is found, its last squares
+    Weighted weighted;          ///< under the loss; once a robust fit is found, squares of its pseudo-values
     std::size_t free;           ///< parameters
     bool scale_free;            ///< the scale is one more
     std::vector<double> sigma;  ///< of the noise; none in a robust fit, whose weights are no noise's
@@ -348,10 +348,16 @@ void add_evidence(const Work& work, const Weighted& weighted, const Variant* sma
     describe_evidence(deviance(work.channel, work.noise.sigma, f), work.channel.samples.size(), free, fit);
 }
 
-/// The squares that touch a robust loss where it was fitted: what follows takes these weights as given.
-void take_last_squares(const Work& work, const Weighted& robust, Variant& variant) {
-    variant.weighted =
-        reweighted(weigh(variant.prepared.channel, work.options.loss), robust, residuals(robust, variant.fit.values).r);
+/// Has what follows see squares in place of a robust loss: those of its pseudo-values, which have their minimum, and
+/// its errors, where the loss has them.
+void take_pseudo_values(Variant& variant) {
+    const std::vector<double> f = variant.refitter->values(variant.optimum, false).f;
+    const PseudoValues pseudo = pseudo_values(variant.weighted, residuals(variant.weighted, f));
+    variant.weighted = pseudo.weighted;
+    variant.weighted.robust = Robust::none;
+    for (std::size_t j = 0; j < f.size(); ++j)
+        if (variant.weighted.weight[j] > 0)
+            variant.weighted.y[j] = (variant.weighted.logarithmic ? std::log(f[j]) : f[j]) - pseudo.residuals.r[j];
     variant.sigma.clear();
     variant.optimum.others.clear();  // of another loss
 }
@@ -374,7 +380,7 @@ void describe(const Work& work, const Variant* smaller, double robust_scale, Var
     describe_errors(work.channel, fit);
     if (weighted.robust != Robust::none) {
         add_outliers(weighted, fit);
-        take_last_squares(work, weighted, variant);
+        take_pseudo_values(variant);
     }
     fit.search = optimum.record;
     const double found =
