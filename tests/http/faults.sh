@@ -8,15 +8,6 @@ cycles=10
 workers() { pgrep -P "$server" | xargs; }
 # sql QUERY: of the store of the last server.
 sql() { sqlite3 -cmd '.timeout 5000' "file:$store?mode=ro" "$1"; }
-# until_true SECONDS COMMAND...
-until_true() {
-    local end=$((SECONDS + $1))
-    shift
-    until "$@"; do
-        ((SECONDS < end)) || return 1
-        sleep 0.05
-    done
-}
 anew='Cache-Control: no-cache' # a stored result would need no worker
 # fit NAME [QUERY]: a fit in the background; its answer goes to $work/NAME, its status to $work/NAME.status.
 fit() {

@@ -31,7 +31,8 @@ holds "every model asked for" '[.channels[0].fits[].model] | sort == ["he_torran
 holds "fits are sorted by loss" '[.channels[0].fits[].loss] | . == sort'
 holds "ranks count from 1" '[.channels[0].fits[].rank] == [1, 2, 3, 4]'
 holds "members of a fit" 'all(.channels[0].fits[]; (keys_unsorted - ["lobes", "warnings"]) == ["rank", "model", "parameters",
-    "loss", "relative_loss", "rmse", "log10_rmse", "aicc", "bic", "held_out", "scans", "correlations", "search", "links"])'
+    "loss", "relative_loss", "rmse", "log10_rmse", "aicc", "bic", "held_out", "scans", "albedo", "physics", "cost",
+    "correlations", "search", "links"])'
 holds "numbers of a fit" 'all(.channels[0].fits[]; all(.loss, .relative_loss, .rmse, .log10_rmse, .aicc, .bic;
     type == "number"))'
 holds "lobes of lafortune alone" \

@@ -74,6 +74,16 @@ require_server() {
     start_server "$@" || { fail "the server starts" "$(tail -n 5 "$log")"; finish; }
 }
 
+# until_true SECONDS COMMAND...
+until_true() {
+    local end=$((SECONDS + $1))
+    shift
+    until "$@"; do
+        ((SECONDS < end)) || return 1
+        sleep 0.05
+    done
+}
+
 # wait_for_end PID SECONDS: sets status to its exit status; false if it is still there then.
 wait_for_end() {
     local end=$((SECONDS + $2))
@@ -150,5 +160,5 @@ refused() {
 # An answer without what differs from run to run: ids and times.
 normalised() {
     jq -S 'def plain: sub("/v1/fits/[^/]*"; "");
-           del(.id, .links) | del(.channels[].fits[] | .search.time_s, .cost) | .channels[].fits[].links.plot |= plain' "$1"
+           del(.id, .links) | del(.channels[] | (.fits[] | .search.time_s, .cost), .pareto, .recommended) | .channels[].fits[].links.plot |= plain' "$1"
 }

@@ -6,7 +6,8 @@ unset POCL_CACHE_DIR
 kept=$XDG_CACHE_HOME/brdfit
 mkdir "$TMPDIR"
 file=$samples/white_plastic.csv
-programs=15 # seven variants of models in two precisions, half of them where the device has only one; and one for searches
+programs=29 # of seven variants in two precisions, for samples and for the hemisphere; and one for searches
+costs=14    # measured, of as many
 
 # stop: ends the last server; sets status.
 stop() {
@@ -32,20 +33,22 @@ waiting=()
 for i in {1..6}; do
     precision=double
     ((i > 1)) || precision=single
-    curl -sS -m 120 -o "$work/early.$i" -w '%{http_code}\n' -H 'Content-Type: text/csv' --data-binary "@$file" \
-        "$url/v1/fits?models=ward,phong,he_torrance&precision=$precision" >>"$work/early" &
+    curl -sS -m 120 -o "$work/early.$i" -w '%{http_code}\n' -H 'Content-Type: text/csv' -H "$patient" \
+        --data-binary "@$file" "$url/v1/fits?models=ward,phong,he_torrance&precision=$precision" >>"$work/early" &
     waiting+=($!)
 done
 fit_answer empty
 wait "${waiting[@]}"
 get /health/ready
 answered "ready" 200
-[[ $(jq '.selftest.precisions | length' "$work/body") == 2 ]] || programs=8
-if ((programs == 15)); then
+[[ $(jq '.selftest.precisions | length' "$work/body") == 2 ]] || programs=15 costs=7
+if ((programs == 29)); then
     check_equal "fits as soon as it listens, in either precision" "$(sort "$work/early" | uniq -c | xargs)" "6 200"
     check_equal "... in the precision asked for" "$(jq -r .device.precision "$work/early.1")" single
 fi
-check_equal "a file a program" "$(find "$kept" -name '*.bin' | wc -l)" $programs
+are_measured() { get /v1/models/he_torrance && jq -e '.costs | length == 1' "$work/body"; }
+check "costs are measured" until_true 60 are_measured
+check_equal "a file a program and a cost" "$(find "$kept" -name '*.bin' | wc -l)" $((programs + costs))
 check_equal "and nothing else" "$(find "$kept" -mindepth 1 -not -name '*.bin' | wc -l)" 0
 check_equal "for this user alone" "$(stat -c %a "$kept" "$kept"/* | sort -u | xargs)" "600 700"
 stop
@@ -92,8 +95,8 @@ fits() {
     "$BRDFIT" fit "$file" models=ward,lambert --json "$@" >"$work/body" 2>"$work/error"
     check_equal "$name: status" $? 0
     check_equal "$name: says nothing" "$(cat "$work/error")" ""
-    check_equal "$name: the answer" "$(jq -S '.channels[].fits | map(del(.links, .search.time_s))' "$work/body")" \
-        "$(jq -S '.channels[].fits | map(del(.links, .search.time_s))' "$work/empty.json")"
+    check_equal "$name: the answer" "$(jq -S '.channels[].fits | map(del(.links, .search.time_s, .cost))' "$work/body")" \
+        "$(jq -S '.channels[].fits | map(del(.links, .search.time_s, .cost))' "$work/empty.json")"
 }
 : >"$work/file"
 fits "a cache that is a file" --cache "$work/file"
@@ -103,7 +106,8 @@ check_equal "no HOME" $? 0
 check_equal "no HOME: says nothing" "$(cat "$work/error")" ""
 fits "--no-cache" --no-cache
 fits "--cache" --cache "$work/here"
-check_equal "--cache is where they are kept" "$(find "$work/here" -name '*.bin' | wc -l)" 2
+# Of two models: for samples, for the hemisphere in both precisions, and what those cost.
+check_equal "--cache is where they are kept" "$(find "$work/here" -name '*.bin' | wc -l)" 10
 check "the other cache is as it was" cmp <(listing) "$work/listing"
 "$BRDFIT" fit "$file" --cache "$work/here" --no-cache >/dev/null 2>&1
 check_equal "--cache and --no-cache" $? 108
