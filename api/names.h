@@ -13,6 +13,7 @@
 #include "optim/loss.h"
 #include "optim/report.h"
 #include "optim/search.h"
+#include "optim/trade.h"
 
 namespace brdfit::api {
 
@@ -56,6 +57,20 @@ inline constexpr std::array<Named<optim::Requirement>, 3> kRequirements{{
     {optim::Requirement::energy_conserving, "energy_conserving", "no directional albedo above 1"},
     {optim::Requirement::reciprocal, "reciprocal", "f(u, v) = f(v, u)"},
     {optim::Requirement::nonnegative, "nonnegative", "no value below 0"},
+}};
+inline constexpr std::array<Named<optim::LessWork>, 6> kLessWork{{
+    {optim::LessWork::single_precision, "precision single", "the option precision"},
+    {optim::LessWork::draft, "effort draft", "the option effort"},
+    {optim::LessWork::standard, "effort standard", "the option effort"},
+    {optim::LessWork::stop_after_screening, "stop after screening", "the best of the starts"},
+    {optim::LessWork::stop_after_descents, "stop after descents", "the best end of the first descents"},
+    {optim::LessWork::stop_after_exchange, "stop after exchange", "the best end before it is polished"},
+}};
+inline constexpr std::array<Named<optim::Arithmetic>, 4> kArithmetics{{
+    {optim::Arithmetic::automatic, "auto", "the default of the option precision"},
+    {optim::Arithmetic::single_search, "single", "the search in 32 bits, the report in 64"},
+    {optim::Arithmetic::double_search, "double", "all in 64 bits"},
+    {optim::Arithmetic::single_alone, "single alone", "all in 32 bits"},
 }};
 inline constexpr const auto& kLosses = optim::kLossNames;
 

@@ -74,9 +74,11 @@ void read_require(const json& value, const Place& place, FitOptions& out) {
     }
 }
 
-void read_judge(const json& value, const Place& place, FitOptions& out) {
-    if (!value.is_boolean()) place.fail("wrong_type", "must be true or false");
-    else out.judge = value.get<bool>();
+Field<FitOptions> switch_field(std::string_view key, std::string_view doc, bool FitOptions::*option) {
+    return {key, false, doc, [=](const json& value, const Place& place, FitOptions& out) {
+                if (!value.is_boolean()) place.fail("wrong_type", "must be true or false");
+                else out.*option = value.get<bool>();
+            }};
 }
 
 const std::vector<Field<FitOptions>> kOptionFields{
@@ -109,7 +111,9 @@ const std::vector<Field<FitOptions>> kOptionFields{
     {"seed", false, "of the starts; the same seed gives the same result", read_seed},
     {"time_limit_s", false, "of the whole request, in seconds", read_time_limit},
     {kRequireKey, false, "what a fit must keep to", read_require},
-    {"judge", false, "also held-out errors, albedo and physics", read_judge},
+    switch_field("judge", "also held-out errors, albedo and physics", &FitOptions::judge),
+    switch_field("ledger", "also what single precision, less effort and earlier stops would have changed",
+                 &FitOptions::ledger),
 };
 
 // ---- scene ----

@@ -18,6 +18,7 @@
 #include "kernels/hemisphere.h"
 #include "optim/broker.h"
 #include "optim/constrained.h"
+#include "optim/ledger.h"
 #include "optim/optimum.h"
 #include "optim/physics.h"
 #include "optim/robust.h"
@@ -518,7 +519,8 @@ Fit fit_model(const Work& work, const Beginning* beginning, double robust_scale)
         Optimum optimum = beginning != nullptr ? find_robust_optimum(variant.task(work), prepared.bounds, before,
                                                                      beginning->variants.at(lobes - least))
                                                : find_optimum(variant.task(work), prepared.bounds, before);
-        evaluations = optimum.record.evaluations += evaluations;
+        add_before(optimum.record, evaluations);
+        evaluations = optimum.record.evaluations;
         const bool last = lobes == work.request.most_lobes();
         if (automatic || last) {
             Fit next = describe(work, prepared, optimum, robust_scale);
@@ -796,8 +798,9 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
                   options.loss,
                   options.scene};
     if (const auto reason = engine_.refusal(report.precision)) throw kernels::PrecisionError(*reason);
-    const SearchControl control{
-        options.seed, Clock::now() + std::chrono::duration_cast<Clock::duration>(options.time_limit), std::move(stop)};
+    const SearchControl control{options.seed,
+                                Clock::now() + std::chrono::duration_cast<Clock::duration>(options.time_limit),
+                                std::move(stop), options.ledger};
     std::vector<Channel> channels = dataset.channels;
     std::vector<Form> forms;
     if (options.scene) {
@@ -836,6 +839,8 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
     });
     for (std::size_t i = 0; i < beginnings.size(); ++i)
         if (!beginnings[i].result) outcomes[i].failure = beginnings[i].failure;
+    for (std::size_t i = 0; i < outcomes.size(); ++i)
+        if (outcomes[i].result) outcomes[i].result->form = i % forms.size();
     auto next = outcomes.begin();
     for (std::size_t c = 0; c < channels.size(); ++c) {
         const auto end = next + static_cast<std::ptrdiff_t>(forms.size());
@@ -848,6 +853,7 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
         add_costs(costs_, models, report);
         for (ChannelReport& channel : report.channels) judge_scene(options.scene.value_or(Scene{}), channel);
     }
+    if (options.ledger) add_ledger(*this, dataset, models, options, control, report);
     return report;
 }
 

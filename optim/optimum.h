@@ -43,6 +43,9 @@ struct Optimum {
     SearchRecord record;
 };
 
+/// Counts evaluations that went before the search.
+void add_before(SearchRecord& record, std::size_t evaluations);
+
 /// Searches within the bounds (one for each parameter, in the model's unit). `smaller`: the optimum of a variant with
 /// fewer lobes, whose loss this one will not exceed; may be nullptr. Throws kernels::DeviceError, kernels::BuildError,
 /// SearchError.

@@ -41,6 +41,7 @@ struct SearchControl {
     std::uint64_t seed = 1;  ///< shifts the low-discrepancy set
     std::chrono::steady_clock::time_point deadline = std::chrono::steady_clock::time_point::max();
     std::stop_token stop{};
+    bool milestones = false;  ///< SearchRecord::milestones are wanted
 
     /// Time has run out, or a stop was asked for.
     [[nodiscard]] bool over() const { return stop.stop_requested() || std::chrono::steady_clock::now() >= deadline; }

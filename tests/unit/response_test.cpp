@@ -126,6 +126,24 @@ TEST(Response, TellsPhysicsRequirementsAndCost) {
         "multiply": 2.0, "fma": 3.0, "divide": 4.0, "sqrt": 5.0}})"));
 }
 
+TEST(Response, TellsWhatLessWorkWouldHaveChanged) {
+    optim::Report r = report();
+    EXPECT_FALSE(answer(r)["channels"][0]["fits"][0].contains("ledger"));
+    using optim::LessWork;
+    r.channels[0].fits[0].ledger = {
+        {LessWork::single_precision, 1.0, 900, 0.25, {}, optim::LedgerLine::Shift{"k_d", 0.5, 0.25}},
+        {LessWork::draft, 1.5, 300, 0.125, 1, {}},
+        {LessWork::stop_after_exchange, {}, 200, {}, {}, {}},
+        {LessWork::standard, 1.0, 9, 0.125, {}, optim::LedgerLine::Shift{"n_1", {}, kInfinity}}};
+    EXPECT_EQ(answer(r)["channels"][0]["fits"][0]["ledger"], Json::parse(R"([
+        {"change": "precision single", "loss_ratio": 1.0, "evaluations": 900, "time_s": 0.25,
+         "largest_shift": {"parameter": "k_d", "std_errors": 0.5, "relative": 0.25}},
+        {"change": "effort draft", "loss_ratio": 1.5, "evaluations": 300, "time_s": 0.125, "lobes": 1},
+        {"change": "stop after exchange", "loss_ratio": null, "evaluations": 200},
+        {"change": "effort standard", "loss_ratio": 1.0, "evaluations": 9, "time_s": 0.125,
+         "largest_shift": {"parameter": "n_1", "std_errors": null, "relative": null}}])"));
+}
+
 TEST(Response, LeavesOutWhatDoesNotApply) {
     optim::Report r = report();
     optim::ChannelReport& channel = r.channels[0];
