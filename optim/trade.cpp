@@ -25,6 +25,10 @@ using kernels::Precision;
 
 /// A loss that is further above the best known is a failure.
 constexpr double kSuccess = 1e-3;
+/// Within so much two fits are of the same minimum.
+constexpr double kSameMinimum = 1e-4;
+/// Values below this part of the largest do not count for errors of series: single precision may have none for them.
+constexpr double kSeen = 1e-12;
 /// Eps of series, as ln(1/eps).
 constexpr double kDial[] = {6, 8, 11, 14, 17, 22, 28, 34};
 constexpr std::size_t kCandidates = 64;
@@ -162,7 +166,7 @@ private:
                                 const std::vector<Run>& runs, const std::vector<Run>& references, double best) {
         PrecisionShift result{dataset, model, arithmetic, 0, {}, {}, {}};
         for (std::size_t i = 0; i < runs.size(); ++i) {
-            if (distance(runs[i], best) > kSuccess || distance(references[i], best) > kSuccess) continue;
+            if (distance(runs[i], best) > kSameMinimum || distance(references[i], best) > kSameMinimum) continue;
             ++result.seeds;
             const auto moved = largest_shift(references[i].fit, runs[i].fit);
             if (!moved || (!result.parameter.empty() && std::pair(moved->std_errors, moved->relative) <=
@@ -179,12 +183,13 @@ private:
         const kernels::Model& variant = model.variant(0);
         const std::vector<double> exact =
             values(engine_, variant, Precision::double_precision, Accuracy::full, dataset, parameters);
+        const double seen = kSeen * *std::max_element(exact.begin(), exact.end());
         const auto add = [&](kernels::Engine& engine, Precision precision, Accuracy accuracy, const char* name,
                              std::optional<double> log_epsilon) {
             SeriesPoint point{dataset.name, precision, name, log_epsilon, 0, 0};
             const std::vector<double> f = values(engine, variant, precision, accuracy, dataset, parameters);
             for (std::size_t j = 0; j < f.size(); ++j)
-                if (exact[j] != 0) point.error = std::max(point.error, std::abs(f[j] / exact[j] - 1));
+                if (exact[j] > seen) point.error = std::max(point.error, std::abs(f[j] / exact[j] - 1));
             point.ns = nanoseconds(engine, variant, precision, accuracy, dataset, parameters);
             result_.series.push_back(std::move(point));
         };

@@ -33,7 +33,7 @@ struct TradeCell {
 };
 
 /// By how much single precision moves the parameters: the largest shift against double_search with the same seed, at
-/// standard effort, over the seeds for which both are within 1e-3 of the best known.
+/// standard effort, over the seeds for which both are within 1e-4 of the best known.
 struct PrecisionShift {
     std::string dataset;
     std::string model;
@@ -50,8 +50,8 @@ struct SeriesPoint {
     kernels::Precision precision{};
     std::string accuracy;                 ///< "full", "search", or "dial" for log_epsilon
     std::optional<double> log_epsilon{};  ///< kernels/series.h
-    double error = 0;                     ///< largest relative one, against full double precision
-    double ns = 0;                        ///< of an evaluation, on one core of a CPU
+    double error = 0;  ///< largest relative one against full double precision, of values above 1e-12 of the largest
+    double ns = 0;     ///< of an evaluation, on one core of a CPU
 };
 
 struct TradeBench {
@@ -61,10 +61,10 @@ struct TradeBench {
     std::vector<SeriesPoint> series;
 };
 
-/// Measures the first channel of each dataset with lambert, phong, ward, lafortune with two lobes and he_torrance: in
-/// every arithmetic that may be used, draft and standard with so many seeds (at least 1), thorough in `automatic` with
-/// a quarter of them, two at least. The best known loss of a dataset and model is the least of all these fits. Throws
-/// std::runtime_error if a fit fails, and what Fitter::fit throws.
+/// Measures the first channel of each dataset with lambert, phong, ward, lafortune with two lobes and he_torrance, in
+/// every arithmetic that may be used, with so many seeds (at least 1), of thorough searches a quarter, two at least.
+/// The best known loss of a dataset and model is the least of all these fits. Throws std::runtime_error if a fit fails,
+/// and what Fitter::fit throws.
 TradeBench bench_trade(const kernels::EngineOptions& options, const kernels::Catalogue& catalogue,
                        const std::vector<Dataset>& datasets, std::size_t seeds);
 
