@@ -185,8 +185,8 @@ void bench_fit(const kernels::EngineOptions& options, const std::string& growth,
 }
 
 /// False if a file is refused.
-bool bench_trade(const kernels::EngineOptions& options, const std::vector<std::string>& files, std::size_t seeds,
-                 bool json) {
+bool bench_trade(const kernels::EngineOptions& options, const std::vector<std::string>& files, std::size_t made_up,
+                 std::size_t seeds, bool json) {
     std::vector<optim::Dataset> datasets;
     for (const std::string& file : files) try {
             datasets.push_back(api::read_csv(read_file(file)));
@@ -195,10 +195,17 @@ bool bench_trade(const kernels::EngineOptions& options, const std::vector<std::s
             print_refusal(file, refusal.problem());
             return false;
         }
-    const kernels::DeviceInfo device = kernels::Engine(options).device();
-    const optim::TradeBench bench = optim::bench_trade(options, kernels::Catalogue(), datasets, seeds);
-    if (json) std::fputs(api::to_json(device, bench).c_str(), stdout);
-    else std::printf("%s\n%s", device.name.c_str(), client::table(bench).c_str());
+    const kernels::Catalogue catalogue;
+    kernels::Engine engine(options);
+    constexpr std::size_t kSamples = 500;
+    for (std::size_t i = 0; i < made_up; ++i) {
+        datasets.push_back(optim::made_up(engine, catalogue, 1, kSamples, i));
+        datasets.back().name += " " + std::to_string(i);
+    }
+    if (datasets.empty()) throw std::runtime_error("name files, or a number of made-up surfaces");
+    const optim::TradeBench bench = optim::bench_trade(options, catalogue, datasets, seeds);
+    if (json) std::fputs(api::to_json(engine.device(), bench).c_str(), stdout);
+    else std::printf("%s\n%s", engine.device().name.c_str(), client::table(bench).c_str());
     return true;
 }
 
@@ -259,8 +266,11 @@ int main(int argc, char** argv) {
     CLI::App* bench_trade_command =
         bench->add_subcommand("trade", "What effort and precision buy: time, distance to the best known, parameters");
     std::vector<std::string> trade_files;
-    bench_trade_command->add_option("files", trade_files, "Measurements (CSV), absolute; the first channel of each")
-        ->required();
+    bench_trade_command->add_option("files", trade_files, "Measurements (CSV), absolute; the first channel of each");
+    std::size_t trade_made_up = 0;
+    bench_trade_command->add_option("--made-up", trade_made_up, "So many made-up surfaces, 500 samples with 2 % noise")
+        ->check(CLI::Range(0, 1000))
+        ->capture_default_str();
     std::size_t trade_seeds = 8;
     bench_trade_command
         ->add_option("--seeds", trade_seeds, "Searches of a kind; of thorough ones a quarter, at least 2")
@@ -316,7 +326,8 @@ int main(int argc, char** argv) {
         if (devices->parsed()) list_devices();
         if (bench_device_command->parsed()) bench_device(engine_options, bench_seconds, bench_json);
         if (bench_fit_command->parsed()) bench_fit(engine_options, bench_growth, bench_length, bench_json);
-        if (bench_trade_command->parsed() && !bench_trade(engine_options, trade_files, trade_seeds, bench_json))
+        if (bench_trade_command->parsed() &&
+            !bench_trade(engine_options, trade_files, trade_made_up, trade_seeds, bench_json))
             return 2;
     } catch (const api::Refusal& refusal) {
         print_refusal(fit_arguments.file, refusal.problem());

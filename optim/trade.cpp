@@ -32,7 +32,7 @@ constexpr double kSeen = 1e-12;
 /// Eps of series, as ln(1/eps).
 constexpr double kDial[] = {6, 8, 11, 14, 17, 22, 28, 34};
 constexpr std::size_t kCandidates = 64;
-constexpr std::chrono::milliseconds kEach{30};
+constexpr std::chrono::milliseconds kEach{80};
 
 struct Named {
     const char* family;

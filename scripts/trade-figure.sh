@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Measures what effort and precision buy, writes the tables of docs/trade-offs.md and draws docs/figures/trade-*.svg.
-# usage: [SEEDS=16] scripts/trade-figure.sh [FILE.csv...]    samples/*.csv without. A minute; two for the first one.
+# usage: [SEEDS=16] [SURFACES=24] scripts/trade-figure.sh [FILE.csv...]    samples/*.csv without; so many made-up surfaces.
+#        Three minutes.
 set -u -o pipefail
 export LC_ALL=C.UTF-8
 cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
@@ -12,6 +13,8 @@ readonly out=out page=docs/trade-offs.md
 readonly trades='
     def middle: sort | .[length / 2 | floor];
     def small: if . == null then "–" elif . < 1e-12 then "0" else digits(2) end;
+    def origin: if .dataset | startswith("made up ") then "made up" else "samples" end;
+    def origins: ["samples", "made up"];
     def percent: "\(100 * . | round) %";
     def efforts: ["draft", "standard", "thorough"];
     def precisions: ["auto", "single", "double", "single alone"];
@@ -29,33 +32,33 @@ compile release brdfit
 (($#)) || set -- samples/*.csv
 load=$(load)
 say "Measuring: $*"
-build/brdfit bench trade --seeds "${SEEDS-16}" --json "$@" >$out/trade.json || die "brdfit bench trade failed"
+build/brdfit bench trade --seeds "${SEEDS-16}" --made-up "${SURFACES-24}" --json "$@" >$out/trade.json || die "brdfit bench trade failed"
 
-pooled_head='processor, ms | evaluations | median distance | worst | within 1e-3 |'
+pooled_head="processor, ms | evaluations | median distance | worst | within 1e-3 |"
 {
     jq -r '"Measured on \(.device.name), one thread, \(.seeds) seeds. '"$load"'"' $out/trade.json
-    printf '\n| model | effort | %s\n|---|---|---|---|---|---|---|\n' "$pooled_head"
-    trade_table '. as $all | models[] as $model | efforts[] as $effort
-        | [$all.cells[] | select(.model == $model and .effort == $effort and .precision == "auto")]
-        | select(length > 0) | [$model, $effort] + pooled'
+    printf '\n| model | data | effort | %s\n|---|---|---|---|---|---|---|---|\n' "$pooled_head"
+    trade_table '. as $all | models[] as $model | origins[] as $origin | efforts[] as $effort
+        | [$all.cells[] | select(.model == $model and .effort == $effort and .precision == "auto" and origin == $origin)]
+        | select(length > 0) | [$model, $origin, $effort] + pooled'
 } | put effort
 {
-    printf '| model | precision | %s\n|---|---|---|---|---|---|---|\n' "$pooled_head"
-    trade_table '. as $all | models[] as $model | precisions[] as $precision
-        | [$all.cells[] | select(.model == $model and .effort == "standard" and .precision == $precision)]
-        | select(length > 0) | [$model, $precision] + pooled'
+    printf '| model | data | precision | %s\n|---|---|---|---|---|---|---|---|\n' "$pooled_head"
+    trade_table '. as $all | models[] as $model | origins[] as $origin | precisions[] as $precision
+        | [$all.cells[] | select(.model == $model and .effort == "standard" and .precision == $precision and origin == $origin)]
+        | select(length > 0) | [$model, $origin, $precision] + pooled'
 } | put precision
 {
     echo '| dataset | model | single: seeds | parameter | std errors | relative | single alone: seeds | parameter | std errors | relative |'
     echo '|---|---|---|---|---|---|---|---|---|---|'
-    trade_table '[.shifts[]] | group_by([.dataset, .model])[]
+    trade_table '[.shifts[] | select(origin == "samples")] | group_by([.dataset, .model])[]
         | sort_by(.precision) | [.[0].dataset, .[0].model]
             + ([.[] | [.seeds, .parameter // "–", (.std_errors | small), (.relative | small)]] | add)'
 } | put shifts
 {
-    jq -r '"| precision | accuracy | ln(1/eps) |\([.series[].dataset] | unique | map(" \(.): error | ns |") | add)",
-        "|---|---|---|\([.series[].dataset] | unique | map("---|---|") | add)"' $out/trade.json
-    trade_table '[.series[]] | group_by([.accuracy == "dial", .precision, .accuracy, .log_epsilon])[]
+    jq -r "$shared $trades"'"| precision | accuracy | ln(1/eps) |\([.series[] | select(origin == "samples") | .dataset] | unique | map(" \(.): error | ns |") | add)",
+        "|---|---|---|\([.series[] | select(origin == "samples") | .dataset] | unique | map("---|---|") | add)"' $out/trade.json
+    trade_table '[.series[] | select(origin == "samples")] | group_by([.accuracy == "dial", .precision, .accuracy, .log_epsilon])[]
         | sort_by(.dataset) | [.[0].precision, .[0].accuracy, .[0].log_epsilon // "–"]
             + ([.[] | [(.error | small), (.ns | digits(3))]] | add)'
 } | put series
@@ -64,7 +67,7 @@ pooled_head='processor, ms | evaluations | median distance | worst | within 1e-3
     echo
     jq -r "$shared $trades"'"| dataset | model | effort |\(precisions | map(" \(.) |") | add)",
         "|---|---|---|\(precisions | map("---|") | add)"' $out/trade.json
-    trade_table '.cells | group_by([.dataset, .model])[] | . as $of | efforts[] as $effort
+    trade_table '[.cells[] | select(origin == "samples")] | group_by([.dataset, .model])[] | . as $of | efforts[] as $effort
         | [$of[] | select(.effort == $effort)] | select(length > 0) | . as $row
         | [.[0].dataset, .[0].model, $effort] + [precisions[] as $precision
             | [$row[] | select(.precision == $precision)] | if length == 0 then "–" else .[0]
@@ -72,9 +75,9 @@ pooled_head='processor, ms | evaluations | median distance | worst | within 1e-3
 } | put cells
 
 # Blocks by effort and precision, then series by dataset, for gnuplot.
-jq -r '.cells[] | select(.model != "lambert") | [.model, .effort, .precision, 1e3 * .cpu_s, ([.worst_distance, 1e-13] | max)] | @tsv' \
+jq -r "$shared $trades"'.cells[] | select(.model != "lambert") | [.model, .effort, .precision, 1e3 * .cpu_s, ([.worst_distance, 1e-13] | max)] | @tsv' \
     $out/trade.json >$out/trade-effort.tsv
-jq -r '.series[] | [.dataset, .precision, .accuracy, .ns, ([.error, 1e-16] | max), .log_epsilon // 0] | @tsv' \
+jq -r "$shared $trades"'.series[] | select(origin == "samples") | [.dataset, .precision, .accuracy, .ns, ([.error, 1e-16] | max), .log_epsilon // 0] | @tsv' \
     $out/trade.json >$out/trade-series.tsv
 for figure in effort series; do
     gnuplot -e "data='$out/trade-$figure.tsv'; picture='docs/figures/trade-$figure.svg'" "docs/figures/trade-$figure.gp" ||

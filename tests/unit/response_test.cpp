@@ -144,6 +144,31 @@ TEST(Response, TellsWhatLessWorkWouldHaveChanged) {
          "largest_shift": {"parameter": "n_1", "std_errors": null, "relative": null}}])"));
 }
 
+TEST(Response, TellsWhatEffortAndPrecisionBuy) {
+    using kernels::Precision;
+    optim::TradeBench bench;
+    bench.seeds = 8;
+    bench.cells = {{"a surface", "lafortune", optim::Effort::draft, optim::Arithmetic::single_alone, 8, 0.25, 0.5, 100,
+                    0.125, 0.75, 0.875}};
+    bench.shifts = {{"a surface", "ward", optim::Arithmetic::single_search, 7, "alpha", 0.5, 0.25},
+                    {"a surface", "ward", optim::Arithmetic::single_alone, 0, "", {}, {}}};
+    bench.series = {{"a surface", Precision::single_precision, "search", {}, 0.5, 2},
+                    {"a surface", Precision::double_precision, "dial", 8, kInfinity, 3}};
+    const Json json = Json::parse(to_json(report().device, bench));
+    EXPECT_EQ(json["device"]["name"], "a device");
+    EXPECT_EQ(json["seeds"], 8);
+    EXPECT_EQ(json["cells"], Json::parse(R"([{"dataset": "a surface", "model": "lafortune", "effort": "draft",
+        "precision": "single alone", "seeds": 8, "wall_s": 0.25, "cpu_s": 0.5, "evaluations": 100.0,
+        "distance": 0.125, "worst_distance": 0.75, "success": 0.875
+}])"));
+    EXPECT_EQ(json["shifts"], Json::parse(R"([{"dataset": "a surface", "model": "ward", "precision": "single",
+        "seeds": 7, "parameter": "alpha", "std_errors": 0.5, "relative": 0.25}, {"dataset": "a surface", "model": "ward",
+        "precision": "single alone", "seeds": 0, "parameter": null, "std_errors": null, "relative": null}])"));
+    EXPECT_EQ(json["series"], Json::parse(R"([{"dataset": "a surface", "precision": "single", "accuracy": "search",
+        "log_epsilon": null, "error": 0.5, "ns": 2.0}, {"dataset": "a surface", "precision": "double",
+        "accuracy": "dial", "log_epsilon": 8.0, "error": null, "ns": 3.0}])"));
+}
+
 TEST(Response, LeavesOutWhatDoesNotApply) {
     optim::Report r = report();
     optim::ChannelReport& channel = r.channels[0];
