@@ -43,7 +43,9 @@ constexpr Named kModels[] = {{"lambert", 0}, {"phong", 0}, {"ward", 0}, {"lafort
 struct Setting {
     Effort effort;
     Arithmetic arithmetic;
-    auto operator<=>(const Setting&) const = default;
+    bool operator<(const Setting& other) const {
+        return std::pair(effort, arithmetic) < std::pair(other.effort, other.arithmetic);
+    }
 };
 
 struct Run {
