@@ -14,6 +14,7 @@
 #include "optim/loss.h"
 #include "optim/report.h"
 #include "optim/search.h"
+#include "optim/trade.h"
 
 namespace brdfit::api {
 
@@ -74,6 +75,20 @@ inline constexpr std::array<Named<optim::NoiseSource>, 4> kNoiseSources{{
 /// States of a fit that was taken, those that end it last.
 inline constexpr std::array<std::string_view, 6> kFitStates{"queued",    "running", "cancelling",
                                                             "succeeded", "failed",  "cancelled"};
+inline constexpr std::array<Named<optim::LessWork>, 6> kLessWork{{
+    {optim::LessWork::single_precision, "precision single", "the option precision"},
+    {optim::LessWork::draft, "effort draft", "the option effort"},
+    {optim::LessWork::standard, "effort standard", "the option effort"},
+    {optim::LessWork::stop_after_screening, "stop after screening", "the best of the starts"},
+    {optim::LessWork::stop_after_descents, "stop after descents", "the best end of the first descents"},
+    {optim::LessWork::stop_after_exchange, "stop after exchange", "the best end before it is polished"},
+}};
+inline constexpr std::array<Named<optim::Arithmetic>, 4> kArithmetics{{
+    {optim::Arithmetic::automatic, "auto", "the default of the option precision"},
+    {optim::Arithmetic::single_search, "single", "the search in 32 bits, the report in 64"},
+    {optim::Arithmetic::double_search, "double", "all in 64 bits"},
+    {optim::Arithmetic::single_alone, "single alone", "all in 32 bits"},
+}};
 inline constexpr const auto& kLosses = optim::kLossNames;
 
 /// The value that an entry of a table names.

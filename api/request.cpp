@@ -114,6 +114,11 @@ const std::vector<Field<FitOptions>> kOptionFields{
      [](const json& v, const Place& p, FitOptions& out) {
          if (const auto rank_by = read_choice(v, p, kRankBy)) out.rank_by = *rank_by;
      }},
+    {"ledger", false, "also what single precision, less effort and earlier stops would have changed",
+     schema::with_default(schema::boolean(), kDefaults.ledger),
+     [](const json& v, const Place& p, FitOptions& out) {
+         if (const auto ledger = read_flag(v, p)) out.ledger = *ledger;
+     }},
 };
 
 // ---- scene ----

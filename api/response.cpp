@@ -137,6 +137,22 @@ Json rivals_json(const std::vector<optim::Rival>& rivals) {
     return json;
 }
 
+Json ledger_json(const std::vector<optim::LedgerLine>& ledger) {
+    Json json = Json::array();
+    for (const optim::LedgerLine& line : ledger) {
+        Json& entry = json.emplace_back(Json{{"change", name_of(kLessWork, line.change)},
+                                             {"loss_ratio", number(line.loss_ratio)},
+                                             {"evaluations", line.evaluations}});
+        if (line.time_s) entry["time_s"] = number(*line.time_s);
+        if (line.lobes) entry["lobes"] = *line.lobes;
+        if (const auto& shift = line.largest_shift)
+            entry["largest_shift"] = {{"parameter", shift->parameter},
+                                      {"std_errors", number(shift->std_errors)},
+                                      {"relative", number(shift->relative)}};
+    }
+    return json;
+}
+
 Json noise_json(const optim::NoiseRecord& noise) {
     Json json{{"relative", number(noise.relative)}, {"floor", number(noise.floor)}};
     if (noise.relative_error) json["uncertainty"] = number(*noise.relative_error);
@@ -172,6 +188,7 @@ Json fit_json(const optim::Fit& fit, const std::string& plot_link) {
         {"starts", fit.search.starts},           {"agreed", fit.search.agreed},
         {"evaluations", fit.search.evaluations}, {"stop_reason", name_of(kStopReasons, fit.search.stop_reason)},
         {"time_s", number(fit.search.time_s)},   {"rivals", rivals_json(fit.search.rivals)}};
+    if (!fit.ledger.empty()) json["ledger"] = ledger_json(fit.ledger);
     if (!fit.warnings.empty()) json["warnings"] = fit.warnings;
     json["links"] = {{"plot", plot_link}};
     return json;
@@ -418,6 +435,44 @@ std::string to_json(const kernels::DeviceInfo& device, const optim::FitBench& be
                            {"last_MiB", number(b.last_MiB)}});
     return text_of(
         {{"device", device_json(device)}, {"threads", bench.threads}, {"timings", timings}, {"batches", batches}});
+}
+
+std::string to_json(const kernels::DeviceInfo& device, const optim::TradeBench& bench) {
+    Json cells = Json::array();
+    for (const optim::TradeCell& c : bench.cells)
+        cells.push_back({{"dataset", c.dataset},
+                         {"model", c.model},
+                         {"effort", name_of(kEfforts, c.effort)},
+                         {"precision", name_of(kArithmetics, c.arithmetic)},
+                         {"seeds", c.seeds},
+                         {"wall_s", number(c.wall_s)},
+                         {"cpu_s", number(c.cpu_s)},
+                         {"evaluations", number(c.evaluations)},
+                         {"distance", number(c.distance)},
+                         {"worst_distance", number(c.worst)},
+                         {"success", number(c.success)}});
+    Json shifts = Json::array();
+    for (const optim::PrecisionShift& s : bench.shifts)
+        shifts.push_back({{"dataset", s.dataset},
+                          {"model", s.model},
+                          {"precision", name_of(kArithmetics, s.arithmetic)},
+                          {"seeds", s.seeds},
+                          {"parameter", s.parameter.empty() ? Json(nullptr) : Json(s.parameter)},
+                          {"std_errors", number(s.std_errors)},
+                          {"relative", number(s.relative)}});
+    Json series = Json::array();
+    for (const optim::SeriesPoint& p : bench.series)
+        series.push_back({{"dataset", p.dataset},
+                          {"precision", name_of(kPrecisions, p.precision)},
+                          {"accuracy", p.accuracy},
+                          {"log_epsilon", number(p.log_epsilon)},
+                          {"error", number(p.error)},
+                          {"ns", number(p.ns)}});
+    return text_of({{"device", device_json(device)},
+                    {"seeds", bench.seeds},
+                    {"cells", cells},
+                    {"shifts", shifts},
+                    {"series", series}});
 }
 
 std::string service_json(const kernels::DeviceInfo& device, std::span<const kernels::SelfTest> tests,

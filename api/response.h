@@ -12,6 +12,7 @@
 #include "kernels/throughput.h"
 #include "optim/bench.h"
 #include "optim/report.h"
+#include "optim/trade.h"
 
 namespace brdfit::api {
 
@@ -34,9 +35,10 @@ std::string to_json(const kernels::Family& family, std::span<const kernels::Cost
 /// Self-tests by precision: `brdfit selftest --json`.
 std::string to_json(std::span<const kernels::SelfTest> tests);
 
-/// `brdfit bench device --json` and `brdfit bench fit --json`.
+/// `brdfit bench device --json`, `brdfit bench fit --json`, `brdfit bench trade --json`.
 std::string to_json(const kernels::DeviceInfo& device, std::span<const kernels::Throughput> throughputs);
 std::string to_json(const kernels::DeviceInfo& device, const optim::FitBench& bench);
+std::string to_json(const kernels::DeviceInfo& device, const optim::TradeBench& bench);
 
 /// GET /v1: what this service is.
 std::string service_json(const kernels::DeviceInfo& device, std::span<const kernels::SelfTest> tests,

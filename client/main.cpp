@@ -13,6 +13,7 @@
 
 #include <CLI/CLI.hpp>
 
+#include "api/csv.h"
 #include "api/plot.h"
 #include "api/problem.h"
 #include "api/request.h"
@@ -26,6 +27,7 @@
 #include "kernels/tuning.h"
 #include "optim/bench.h"
 #include "optim/fit.h"
+#include "optim/trade.h"
 #include "server/serve.h"
 #include "server/worker.h"
 
@@ -181,6 +183,31 @@ void bench_fit(const kernels::EngineOptions& options, const std::string& growth,
     else std::printf("%s, %s", engine.device().name.c_str(), client::table(bench).c_str());
 }
 
+/// False if a file is refused.
+bool bench_trade(const kernels::EngineOptions& options, const std::vector<std::string>& files, std::size_t made_up,
+                 std::size_t seeds, bool json) {
+    std::vector<optim::Dataset> datasets;
+    for (const std::string& file : files) try {
+            datasets.push_back(api::read_csv(read_file(file)));
+            datasets.back().name = std::filesystem::path(file).stem().string();
+        } catch (const api::Refusal& refusal) {
+            print_refusal(file, refusal.problem());
+            return false;
+        }
+    const kernels::Catalogue catalogue;
+    kernels::Engine engine(options);
+    constexpr std::size_t kSamples = 500;
+    for (std::size_t i = 0; i < made_up; ++i) {
+        datasets.push_back(optim::made_up(engine, catalogue, 1, kSamples, i));
+        datasets.back().name += " " + std::to_string(i);
+    }
+    if (datasets.empty()) throw std::runtime_error("name files, or a number of made-up surfaces");
+    const optim::TradeBench bench = optim::bench_trade(options, catalogue, datasets, seeds);
+    if (json) std::fputs(api::to_json(engine.device(), bench).c_str(), stdout);
+    else std::printf("%s\n%s", engine.device().name.c_str(), client::table(bench).c_str());
+    return true;
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -286,16 +313,29 @@ int main(int argc, char** argv) {
     bool one_by_one = false;
     bench_fit_command->add_flag("--one-by-one", one_by_one,
                                 "Launch each candidate alone and wait for it: what batching is measured against");
+    CLI::App* bench_trade_command =
+        bench->add_subcommand("trade", "What effort and precision buy: time, distance to the best known, parameters");
+    std::vector<std::string> trade_files;
+    bench_trade_command->add_option("files", trade_files, "Measurements (CSV), absolute; the first channel of each");
+    std::size_t trade_made_up = 0;
+    bench_trade_command->add_option("--made-up", trade_made_up, "So many made-up surfaces, 500 samples with 2 % noise")
+        ->check(CLI::Range(0, 1000))
+        ->capture_default_str();
+    std::size_t trade_seeds = 8;
+    bench_trade_command
+        ->add_option("--seeds", trade_seeds, "Searches of a kind; of thorough ones a quarter, at least 2")
+        ->check(CLI::Range(1, 1000))
+        ->capture_default_str();
     bool bench_json = false;
-    for (CLI::App* command : {bench_device_command, bench_fit_command})
+    for (CLI::App* command : {bench_device_command, bench_fit_command, bench_trade_command})
         command->add_flag("--json", bench_json, "Print JSON instead of a table");
     for (CLI::App* command : {serve, worker, fit_command, models, self_test_command, tune_command})
         command->add_option("--models", folders, "Folder with further model files (*.cl); may be given again")
             ->allow_extra_args(false)
             ->check(CLI::ExistingDirectory);
     kernels::EngineOptions engine_options;
-    for (CLI::App* command :
-         {serve, worker, fit_command, self_test_command, tune_command, bench_device_command, bench_fit_command}) {
+    for (CLI::App* command : {serve, worker, fit_command, self_test_command, tune_command, bench_device_command,
+                              bench_fit_command, bench_trade_command}) {
         command->add_option("--device", engine_options.device, "auto, cpu, gpu, or a part of the device's name")
             ->capture_default_str();
         command->add_option("--build-options", engine_options.build_options,
@@ -338,6 +378,9 @@ int main(int argc, char** argv) {
         if (devices->parsed()) list_devices();
         if (bench_device_command->parsed()) bench_device(engine_options, bench_seconds, bench_json);
         if (bench_fit_command->parsed()) bench_fit(engine_options, bench_growth, bench_length, bench_json);
+        if (bench_trade_command->parsed() &&
+            !bench_trade(engine_options, trade_files, trade_made_up, trade_seeds, bench_json))
+            return 2;
     } catch (const api::Refusal& refusal) {
         print_refusal(fit_arguments.file, refusal.problem());
         return 2;

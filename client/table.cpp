@@ -29,6 +29,15 @@ std::string eps(const kernels::ModelTest& test, const kernels::WorstError& error
     return test.points == 0 ? "-" : fmt::format("{:.2f}", error.eps);
 }
 
+std::string shift(const optim::LedgerLine& line) {
+    const auto& moved = line.largest_shift;
+    if (line.lobes) return fmt::format(", with {} lobes", *line.lobes);
+    if (!moved) return "";
+    if (moved->std_errors)
+        return fmt::format(", {} moves {:.2g} standard errors", moved->parameter, *moved->std_errors);
+    return moved->relative ? fmt::format(", {} moves by {:.2g} of itself", moved->parameter, *moved->relative) : "";
+}
+
 std::string verdict(const kernels::ModelTest& test) {
     if (!test.passed()) return "FAILED";
     return test.points == 0 ? "no points" : "passed";
@@ -86,6 +95,32 @@ std::string table(const optim::FitBench& bench) {
     return text;
 }
 
+std::string table(const optim::TradeBench& bench) {
+    const auto or_dash = [](const std::optional<double>& value) {
+        return value ? fmt::format("{:.2g}", *value) : std::string("-");
+    };
+    std::string text = fmt::format("{:<16} {:<13} {:<9} {:<12} {:>5} {:>9} {:>9} {:>11} {:>9} {:>9} {:>8}\n", "dataset",
+                                   "model", "effort", "precision", "seeds", "wall, ms", "cpu, ms", "evaluations",
+                                   "distance", "worst", "success");
+    for (const optim::TradeCell& c : bench.cells)
+        text +=
+            fmt::format("{:<16} {:<13} {:<9} {:<12} {:>5} {:>9.1f} {:>9.1f} {:>11.0f} {:>9.1e} {:>9.1e} {:>6.0f} %\n",
+                        c.dataset, c.model, name_of(api::kEfforts, c.effort), name_of(api::kArithmetics, c.arithmetic),
+                        c.seeds, 1e3 * c.wall_s, 1e3 * c.cpu_s, c.evaluations, c.distance, c.worst, 100 * c.success);
+    text += fmt::format("\n{:<16} {:<13} {:<12} {:>5} {:<9} {:>10} {:>9}\n", "shift against", "double", "precision",
+                        "seeds", "parameter", "std errors", "relative");
+    for (const optim::PrecisionShift& s : bench.shifts)
+        text += fmt::format("{:<16} {:<13} {:<12} {:>5} {:<9} {:>10} {:>9}\n", s.dataset, s.model,
+                            name_of(api::kArithmetics, s.arithmetic), s.seeds, s.parameter.empty() ? "-" : s.parameter,
+                            or_dash(s.std_errors), or_dash(s.relative));
+    text += fmt::format("\n{:<16} {:<10} {:<9} {:>9} {:>9} {:>8}\n", "series on", "precision", "accuracy", "ln(1/eps)",
+                        "error", "ns");
+    for (const optim::SeriesPoint& p : bench.series)
+        text += fmt::format("{:<16} {:<10} {:<9} {:>9} {:>9.1e} {:>8.1f}\n", p.dataset,
+                            name_of(api::kPrecisions, p.precision), p.accuracy, or_dash(p.log_epsilon), p.error, p.ns);
+    return text;
+}
+
 std::string table(const optim::Report& report) {
     std::string text;
     for (const optim::ChannelReport& channel : report.channels) {
@@ -100,6 +135,10 @@ std::string table(const optim::Report& report) {
             text += fmt::format("  {:>4}  {:<14} {:>11.5g} {:>11} {:>8} {:>10.1f} {:>8.1f}  {}\n", fit.rank,
                                 kernels::variant_name(fit.model, fit.lobes, fit.submodel), fit.loss, held_out, decades,
                                 fit.bic, 1e3 * fit.search.time_s, parameters(fit));
+            for (const optim::LedgerLine& line : fit.ledger)
+                text += fmt::format("{:>22}{}: {} evaluations, loss times {}{}\n", "",
+                                    name_of(api::kLessWork, line.change), line.evaluations,
+                                    line.loss_ratio ? fmt::format("{:.6g}", *line.loss_ratio) : "-", shift(line));
             for (const std::string& warning : fit.warnings) text += fmt::format("{:>22}{}\n", "", warning);
         }
         for (const optim::Failure& failure : channel.failures)

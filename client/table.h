@@ -9,6 +9,7 @@
 #include "kernels/throughput.h"
 #include "optim/bench.h"
 #include "optim/report.h"
+#include "optim/trade.h"
 
 namespace brdfit::client {
 
@@ -25,5 +26,8 @@ std::string table(std::span<const kernels::Throughput> throughputs);
 
 /// A line for each size of request.
 std::string table(const optim::FitBench& bench);
+
+/// A line for each dataset, model, effort and precision; for each shift of parameters; for each accuracy of series.
+std::string table(const optim::TradeBench& bench);
 
 }  // namespace brdfit::client

@@ -125,3 +125,11 @@ inline scalar sum_16(VECTOR(16) x) { return sum_8(x.lo + x.hi); }
 #define LAMBERT_STEPS 1
 #define MODE_STEPS 1
 #endif
+#ifdef SERIES_LOG_EPSILON /* another eps, by the compiler's options: kernels/series.h */
+#undef LOG_EPSILON
+#undef NEGLIGIBLE
+#undef LEFT_MARGIN
+#define LOG_EPSILON SERIES_LOG_EPSILON
+#define NEGLIGIBLE SERIES_NEGLIGIBLE
+#define LEFT_MARGIN SERIES_LEFT_MARGIN
+#endif

@@ -47,8 +47,6 @@ std::vector<ModelRequest> requests_for(const kernels::Catalogue& catalogue, cons
     return requests;
 }
 
-double cpu_seconds() { return static_cast<double>(std::clock()) / CLOCKS_PER_SEC; }
-
 /// A line of /proc/self/status [MiB]; 0 where there is none.
 double memory_MiB(const std::string& name) {
     std::ifstream status("/proc/self/status");
@@ -65,12 +63,6 @@ double memory_MiB(const std::string& name) {
 void forget_peak() {
     ::malloc_trim(0);
     std::ofstream("/proc/self/clear_refs") << "5";
-}
-
-double median(std::vector<double> values) {
-    const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-    std::nth_element(values.begin(), middle, values.end());
-    return *middle;
 }
 
 class Bench {
@@ -162,6 +154,14 @@ private:
 };
 
 }  // namespace
+
+double cpu_seconds() { return static_cast<double>(std::clock()) / CLOCKS_PER_SEC; }
+
+double median(std::vector<double> values) {
+    const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+    std::nth_element(values.begin(), middle, values.end());
+    return *middle;
+}
 
 Dataset made_up(kernels::Engine& engine, const kernels::Catalogue& catalogue, std::size_t channels, std::size_t samples,
                 std::uint64_t seed) {

@@ -42,6 +42,11 @@ struct FitBench {
     std::vector<BatchTiming> batches;
 };
 
+/// Processor time of all threads so far [s].
+double cpu_seconds();
+/// Of at least one value; the upper one of two middles.
+double median(std::vector<double> values);
+
 /// How much bench_fits repeats: brief: once, 20 datasets to a batch, 3000 samples at most; standard: 4 to 8 times, 1000
 /// datasets; full: 4 to 24 times, 10000 datasets.
 enum class BenchLength { brief, standard, full };

@@ -20,6 +20,7 @@
 #include "optim/broker.h"
 #include "optim/constrained.h"
 #include "optim/crossvalidation.h"
+#include "optim/ledger.h"
 #include "optim/noise.h"
 #include "optim/optimum.h"
 #include "optim/physics.h"
@@ -619,7 +620,8 @@ Fit fit_model(const Work& work, const Beginning* beginning, double robust_scale)
         variant->optimum = beginning != nullptr ? find_robust_optimum(variant->task, prepared.bounds, start_from,
                                                                       beginning->variants.at(lobes - least))
                                                 : find_optimum(variant->task, prepared.bounds, start_from);
-        evaluations = variant->optimum.record.evaluations += evaluations;
+        add_before(variant->optimum.record, evaluations);
+        evaluations = variant->optimum.record.evaluations;
         order_lobes(work, variant->task.model, variant->optimum);
         const bool last = lobes == work.request.most_lobes();
         if (!automatic && !last) {
@@ -932,8 +934,9 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
                   options.loss,
                   options.scene};
     if (const auto reason = engine_.refusal(report.precision)) throw kernels::PrecisionError(*reason);
-    const SearchControl control{
-        options.seed, Clock::now() + std::chrono::duration_cast<Clock::duration>(options.time_limit), std::move(stop)};
+    const SearchControl control{options.seed,
+                                Clock::now() + std::chrono::duration_cast<Clock::duration>(options.time_limit),
+                                std::move(stop), nullptr, options.ledger};
     std::vector<Channel> channels = dataset.channels;
     std::vector<Form> forms;
     if (options.scene) {
@@ -980,6 +983,8 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
     });
     for (std::size_t i = 0; i < beginnings.size(); ++i)
         if (!beginnings[i].result) outcomes[i].failure = beginnings[i].failure;
+    for (std::size_t i = 0; i < outcomes.size(); ++i)
+        if (outcomes[i].result) outcomes[i].result->form = i % forms.size();
     auto next = outcomes.begin();
     for (std::size_t c = 0; c < channels.size(); ++c) {
         const auto end = next + static_cast<std::ptrdiff_t>(forms.size());
@@ -993,6 +998,7 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
         add_costs(costs_, models, report);
         for (ChannelReport& channel : report.channels) judge_scene(options.scene.value_or(Scene{}), channel);
     }
+    if (options.ledger) add_ledger(*this, dataset, models, options, control, report);
     return report;
 }
 

@@ -52,6 +52,7 @@ struct FitOptions {
     std::vector<Requirement> require{};            ///< each at most once; a model that cannot meet them is a failure
     bool judge = true;                             ///< also held-out errors, albedo and physics
     RankBy rank_by = RankBy::loss;                 ///< held_out needs judge
+    bool ledger = false;                           ///< also what less work would have changed (optim/ledger.h)
     std::optional<Scene> scene{};                  ///< with one, simpler forms of the models are fitted as well
 
     bool operator==(const FitOptions&) const = default;

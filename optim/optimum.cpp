@@ -398,6 +398,11 @@ Weighted balanced(Weighted weighted) {
 
 double coefficient_level(const Task& task) { return level_of(task, levels_of(task)); }
 
+void add_before(SearchRecord& record, std::size_t evaluations) {
+    record.evaluations += evaluations;
+    for (Milestone& milestone : record.milestones) milestone.evaluations += evaluations;
+}
+
 Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, const Optimum* smaller) {
     const Weighted squares = balanced(squares_of(task));
     std::optional<Point> extension;
@@ -415,7 +420,7 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
     add_lit(task, bounds, levels, starts);
     const double level = level_of(task, levels);
     Optimum optimum = search_in_all(task, bounds, level, starts, task.effort, false);
-    optimum.record.evaluations += found.optimum.record.evaluations;
+    add_before(optimum.record, found.optimum.record.evaluations);
     return finished_with_others(task, bounds, task.weighted, Unknowns::all, level, 1, std::move(optimum));
 }
 
@@ -474,7 +479,8 @@ Optimum find_robust_optimum(const Task& task, const std::vector<Interval>& bound
     // Nothing here is thinned, and the starts are good.
     const bool many = squares.y.size() > kThinAbove;
     Optimum optimum = search_in_all(task, bounds, level, starts, again(task.effort), many);
-    std::size_t evaluations = groundwork.evaluations;
+    add_before(optimum.record, groundwork.evaluations);
+    std::size_t evaluations = 0;
     const double scale2 = scale2_of(task.weighted);
     // The squares that touch the loss at the best fit so far may lead to a better one.
     for (int round = 0; round < kReweightings && !task.control.over(); ++round) {

@@ -49,6 +49,8 @@ Point extended(const kernels::Model& model, const kernels::Model& smaller, const
 Weighted balanced(Weighted weighted);
 /// Size from which on coefficients are searched by their logarithm, where they are coordinates.
 double coefficient_level(const Task& task);
+/// Counts evaluations that went before the search.
+void add_before(SearchRecord& record, std::size_t evaluations);
 
 /// Searches within the bounds (one for each parameter, in the model's unit). `smaller`: the optimum of a variant with
 /// fewer lobes, whose loss this one will not exceed; may be nullptr. Throws kernels::DeviceError, kernels::BuildError,

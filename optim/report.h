@@ -82,13 +82,46 @@ struct Correlations {
     std::vector<double> matrix;  ///< by rows
 };
 
+/// Less than a fit was given.
+enum class LessWork {
+    single_precision,
+    draft,
+    standard,
+    stop_after_screening,
+    stop_after_descents,
+    stop_after_exchange
+};
+
+/// What a search had found when it might have stopped.
+struct Milestone {
+    LessWork stop{};
+    double relative_loss2 = 0;    ///< at full accuracy; loss^2 over that of f = 0, for `log` loss^2
+    std::size_t evaluations = 0;  ///< until then
+};
+
 struct SearchRecord {
     std::size_t starts = 0;       ///< independent local searches
     std::size_t agreed = 0;       ///< those that ended within 1e-3 of the best loss
     std::size_t evaluations = 0;  ///< candidates evaluated, all phases
     StopReason stop_reason = StopReason::converged;
     double time_s = 0;
-    std::vector<Rival> rivals{};  ///< best first, a few
+    std::vector<Rival> rivals{};          ///< best first, a few
+    std::vector<Milestone> milestones{};  ///< where SearchControl asks for them
+};
+
+/// What less work would have made of a fit.
+struct LedgerLine {
+    LessWork change{};
+    std::optional<double> loss_ratio{};  ///< over the fit's loss; none if only that is 0
+    std::size_t evaluations = 0;
+    std::optional<double> time_s{};      ///< none for an earlier stop
+    std::optional<std::size_t> lobes{};  ///< where it ends with another number of lobes
+    struct Shift {
+        std::string parameter;
+        std::optional<double> std_errors{};  ///< the shift in units of the fit's standard error
+        std::optional<double> relative{};    ///< ... and of the parameter; none if that is 0
+    };
+    std::optional<Shift> largest_shift{};  ///< in standard errors; none for an earlier stop, or for other parameters
 };
 
 /// Samples that a robust loss has taken most of the weight from: they keep less than a tenth.
@@ -149,6 +182,8 @@ struct Fit {
     Correlations correlations;
     std::size_t replicates = 0;  ///< of the bootstrap that made the intervals; 0: made from the covariance
     SearchRecord search;
+    std::vector<LedgerLine> ledger;  ///< empty where it was not asked for
+    std::size_t form = 0;            ///< its place among the models and forms that were fitted
     std::vector<std::string> warnings;
     /// The model at the reported parameters, times scale: what the plots draw and the errors measure.
     std::vector<double> values;  ///< at each sample of the channel

@@ -364,7 +364,19 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
         const Objective objective = [&](std::span<const double> u, std::span<double> g) { return quick(u, g); };
         starts.push_back(explore(objective, d, budget.global_evaluations, control).u);
     }
+    std::size_t extra = 0;  // evaluations for milestones
+    const auto pass = [&](LessWork milestone, const std::vector<std::vector<double>>& found) {
+        if (!control.milestones || control.over()) return;
+        std::size_t evaluations = 0;
+        for (const SpaceLoss* stage : stages) evaluations += stage->evaluations();
+        evaluations -= extra;
+        const std::vector<double> values = exact.screen(found, control);
+        result.record.milestones.push_back({milestone, *std::min_element(values.begin(), values.end()), evaluations});
+        extra += found.size();
+    };
+    pass(LessWork::stop_after_screening, starts);
     descend_from(quick, starts);
+    pass(LessWork::stop_after_descents, {ends.front().u});
 
     const auto blocks = space.blocks();
     std::size_t bases = blocks.size() > 1 ? budget.bases : 0;
@@ -384,6 +396,7 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
         if (!(ends.front().loss2 < before * (1 - 5e-4))) break;
         bases = 1;
     }
+    if (blocks.size() > 1 && budget.bases > 0) pass(LessWork::stop_after_exchange, {ends.front().u});
 
     result.minima = distinct_ends(ends, 1e-2);
     const std::vector<Minimum> searched = ends;
@@ -424,6 +437,7 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
     result.record.agreed = static_cast<std::size_t>(std::count_if(
         searched.begin(), searched.end(), [&](const Minimum& m) { return std::sqrt(m.loss2) <= agreed; }));
     for (const SpaceLoss* stage : stages) result.record.evaluations += stage->evaluations();
+    result.record.evaluations -= extra;
     result.record.stop_reason = result.best.stop;
     exact.complete(result.best);
     return result;

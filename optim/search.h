@@ -43,6 +43,7 @@ struct SearchControl {
     std::chrono::steady_clock::time_point deadline = std::chrono::steady_clock::time_point::max();
     std::stop_token stop{};
     TaskProgress* progress = nullptr;  ///< told what is done, if there is one
+    bool milestones = false;           ///< SearchRecord::milestones are wanted
 
     /// Time has run out, or a stop was asked for.
     [[nodiscard]] bool over() const { return stop.stop_requested() || std::chrono::steady_clock::now() >= deadline; }

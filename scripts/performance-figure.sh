@@ -7,25 +7,7 @@ export LC_ALL=C.UTF-8
 cd "$(dirname "${BASH_SOURCE[0]}")/.." || exit 1
 readonly out=out page=docs/performance.md
 . scripts/setup.sh
-
-# put SECTION: standard input goes between the section's two comments.
-put() {
-    cat >"$out/performance.part"
-    awk -v part="$out/performance.part" -v begin="<!-- $1: begin -->" -v end="<!-- $1: end -->" '
-        $0 == end { inside = 0 }
-        !inside
-        $0 == begin { inside = 1; print ""; while ((getline line < part) > 0) print line; print "" }' \
-        "$page" >"$out/performance.md" && cp "$out/performance.md" "$page"
-}
-# What else ran on the machine, before a part starts to measure.
-load() { echo "The machine's load was $(cut -d' ' -f1 /proc/loadavg) before, on $(nproc) cores."; }
-# as_table FILE FILTER: the rows that the filter makes of a JSON file, each an array of cells.
-as_table() { jq -r "$shared $2"' | "| " + (map(tostring) | join(" | ")) + " |"' "$1"; }
-readonly shared='
-    def digits($n): . as $x | if $x == 0 then 0 else ($x | fabs | log10 | floor) as $e
-        | pow(10; $n - 1 - $e) as $f | ($x * $f | round) / $f end;
-    def ms: 1e3 * . | digits(3);
-    def joined: map(tostring) | join(", ");'
+. scripts/page.sh
 
 kernels() {
     configure bench

@@ -146,6 +146,10 @@ inline Fresnel fresnel(real n, real k, real cd2, real sd2) {
 #define STIRLING (1.0 / 12.0 - z * (1.0 / 360.0 - z * (1.0 / 1260.0)))
 #define STIRLING_SLOPE (1.0 / 12.0 - z * (1.0 / 120.0))
 #endif
+#ifdef SERIES_LOG_EPSILON
+#undef STRIDE
+#define STRIDE SERIES_STRIDE
+#endif
 #if REAL_IS_DOUBLE
 #define LEAST_STRIDE 1e-15
 #else

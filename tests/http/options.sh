@@ -76,6 +76,14 @@ holds "precision single: it is told, and all models fit" '.device.precision == "
 check "precision single finds the same losses to 1 %" jq -ne --slurpfile a "$work/double" --slurpfile b "$work/body" \
     '[$a, $b | .[0].channels[0].fits | map({(.model): .loss}) | add] as [$x, $y]
      | all($x | keys[]; $x[.] / $y[.] | . > 0.99 and . < 1.01)'
+fits '.options.ledger = true | .models = ["ward", {name: "lafortune", lobes: 2}]'
+answered "a ledger" 200
+holds "a ledger: what each fit would have been with less" '.channels[0] | (has("warnings") | not) and all(.fits[].ledger;
+    map(.change)[:4] == ["precision single", "effort draft", "stop after screening", "stop after descents"]
+    and all(.loss_ratio >= 0.999999 and .evaluations >= 1)
+    and all(.[:2][]; .time_s >= 0 and (.largest_shift | (.parameter | type) == "string" and .relative >= 0)))'
+fits '.'
+holds "no ledger unless it is asked for" 'all(.channels[0].fits[]; has("ledger") | not)'
 fits '.options.time_limit_s = 1e-9'
 answered "no time at all" 200
 holds "no time at all: says so, or what it found" \

@@ -10,6 +10,7 @@
 #include <cstdio>
 #include <limits>
 
+#include "kernels/series.h"
 #include "tests/support.h"
 
 namespace brdfit::tests {
@@ -390,6 +391,32 @@ TEST_P(EveryEvaluator, SingleIsCloseToDouble) {
     full.project(in.parameters, in.lower, in.upper, true, a);
     single.project(in.parameters, in.lower, in.upper, true, b);
     for (std::size_t i = 0; i < 50; ++i) EXPECT_NEAR(b.loss[i], a.loss[i], 1e-3 * a.loss[i]);
+}
+
+/// The eps that the compiler's options ask for is the error that comes out, in its order of magnitude.
+TEST(SeriesOptions, SetTheError) {
+    if (!engine().supports(Precision::double_precision)) GTEST_SKIP() << "double precision only";
+    const Model& model = variant("he_torrance");
+    std::vector<Direction> directions;
+    for (double theta_r = -80; theta_r <= 80; theta_r += 2.5) directions.push_back({40, theta_r, 0});
+    const std::vector<double> none(directions.size(), 0.0);
+    Evaluator full(engine(), model, Precision::double_precision, directions, none, none);
+    for (const double log_epsilon : {8.0, 17.0}) {
+        kernels::EngineOptions options;
+        options.build_options = kernels::series_options(log_epsilon);
+        kernels::Engine dialled(options);
+        Evaluator shorter(dialled, model, Precision::double_precision, directions, none, none);
+        double worst = 0;
+        for (const double sigma : {0.05, 0.2, 0.6, 1.5}) {
+            const std::vector<double> p{sigma, 8.8, 1.5, 0.3, 0.5};
+            const std::vector<double> a = full.terms(p);
+            const std::vector<double> b = shorter.terms(p);
+            for (std::size_t j = directions.size(); j < 2 * directions.size(); ++j)  // the lobe
+                if (a[j] > 1e-6) worst = std::max(worst, std::abs(b[j] / a[j] - 1));
+        }
+        EXPECT_LT(worst, 10 * std::exp(-log_epsilon));
+        EXPECT_GT(worst, 1e-3 * std::exp(-log_epsilon));
+    }
 }
 
 /// Values within 2e-5, slopes within 2e-4 of max(|slope|, |value/parameter|).

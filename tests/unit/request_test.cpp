@@ -94,15 +94,18 @@ TEST(Request, HasDefaults) {
         EXPECT_EQ(request.models[i], (optim::ModelRequest{&catalogue().families()[i], {}, {}, {}}));
 }
 
-TEST(Request, ReadsRequirementsAndWhetherToJudge) {
+TEST(Request, ReadsRequirementsAndWhetherToJudgeAndToKeepALedger) {
     json body = whole();
     body["options"]["require"] = {"nonnegative", "energy_conserving"};
+    EXPECT_FALSE(read(body).options.ledger);
     body["options"]["judge"] = false;
+    body["options"]["ledger"] = true;
     const FitRequest request = read(body);
     using optim::Requirement;
     EXPECT_EQ(request.options.require,
               (std::vector<Requirement>{Requirement::nonnegative, Requirement::energy_conserving}));
     EXPECT_FALSE(request.options.judge);
+    EXPECT_TRUE(request.options.ledger);
 }
 
 TEST(Request, RefusesUnknownKeys) {
@@ -189,6 +192,7 @@ TEST(Request, RefusesValues) {
     expect_refused("/options/require", {"reciprocal", "fast"}, {"/options/require/1 unknown_value"});
     expect_refused("/options/require", {"reciprocal", "reciprocal"}, {"/options/require/1 duplicate"});
     expect_code("/options/judge", 1, "wrong_type");
+    expect_code("/options/ledger", "all", "wrong_type");
     expect_code("/dataset/name", std::string(201, 'x'), "too_long");
     // In wavelengths too large for a double, in either channel; and an interval that is.
     const std::string tau = "/models/2/fixed/tau out_of_range";

@@ -138,6 +138,49 @@ TEST(Response, TellsPhysicsRequirementsAndCost) {
         "multiply": 2.0, "fma": 3.0, "divide": 4.0, "sqrt": 5.0}})"));
 }
 
+TEST(Response, TellsWhatLessWorkWouldHaveChanged) {
+    optim::Report r = report();
+    EXPECT_FALSE(answer(r)["channels"][0]["fits"][0].contains("ledger"));
+    using optim::LessWork;
+    r.channels[0].fits[0].ledger = {
+        {LessWork::single_precision, 1.0, 900, 0.25, {}, optim::LedgerLine::Shift{"k_d", 0.5, 0.25}},
+        {LessWork::draft, 1.5, 300, 0.125, 1, {}},
+        {LessWork::stop_after_exchange, {}, 200, {}, {}, {}},
+        {LessWork::standard, 1.0, 9, 0.125, {}, optim::LedgerLine::Shift{"n_1", {}, kInfinity}}};
+    EXPECT_EQ(answer(r)["channels"][0]["fits"][0]["ledger"], Json::parse(R"([
+        {"change": "precision single", "loss_ratio": 1.0, "evaluations": 900, "time_s": 0.25,
+         "largest_shift": {"parameter": "k_d", "std_errors": 0.5, "relative": 0.25}},
+        {"change": "effort draft", "loss_ratio": 1.5, "evaluations": 300, "time_s": 0.125, "lobes": 1},
+        {"change": "stop after exchange", "loss_ratio": null, "evaluations": 200},
+        {"change": "effort standard", "loss_ratio": 1.0, "evaluations": 9, "time_s": 0.125,
+         "largest_shift": {"parameter": "n_1", "std_errors": null, "relative": null}}])"));
+}
+
+TEST(Response, TellsWhatEffortAndPrecisionBuy) {
+    using kernels::Precision;
+    optim::TradeBench bench;
+    bench.seeds = 8;
+    bench.cells = {{"a surface", "lafortune", optim::Effort::draft, optim::Arithmetic::single_alone, 8, 0.25, 0.5, 100,
+                    0.125, 0.75, 0.875}};
+    bench.shifts = {{"a surface", "ward", optim::Arithmetic::single_search, 7, "alpha", 0.5, 0.25},
+                    {"a surface", "ward", optim::Arithmetic::single_alone, 0, "", {}, {}}};
+    bench.series = {{"a surface", Precision::single_precision, "search", {}, 0.5, 2},
+                    {"a surface", Precision::double_precision, "dial", 8, kInfinity, 3}};
+    const Json json = Json::parse(to_json(report().device, bench));
+    EXPECT_EQ(json["device"]["name"], "a device");
+    EXPECT_EQ(json["seeds"], 8);
+    EXPECT_EQ(json["cells"], Json::parse(R"([{"dataset": "a surface", "model": "lafortune", "effort": "draft",
+        "precision": "single alone", "seeds": 8, "wall_s": 0.25, "cpu_s": 0.5, "evaluations": 100.0,
+        "distance": 0.125, "worst_distance": 0.75, "success": 0.875
+}])"));
+    EXPECT_EQ(json["shifts"], Json::parse(R"([{"dataset": "a surface", "model": "ward", "precision": "single",
+        "seeds": 7, "parameter": "alpha", "std_errors": 0.5, "relative": 0.25}, {"dataset": "a surface", "model": "ward",
+        "precision": "single alone", "seeds": 0, "parameter": null, "std_errors": null, "relative": null}])"));
+    EXPECT_EQ(json["series"], Json::parse(R"([{"dataset": "a surface", "precision": "single", "accuracy": "search",
+        "log_epsilon": null, "error": 0.5, "ns": 2.0}, {"dataset": "a surface", "precision": "double",
+        "accuracy": "dial", "log_epsilon": 8.0, "error": null, "ns": 3.0}])"));
+}
+
 TEST(Response, LeavesOutWhatDoesNotApply) {
     optim::Report r = report();
     optim::ChannelReport& channel = r.channels[0];
