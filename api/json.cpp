@@ -61,8 +61,10 @@ public:
     std::size_t read = 0;  ///< bytes that the parser has taken
 
 private:
+    static constexpr ProblemType kNotJson = problem_type("invalid-json");
+
     [[noreturn]] void refuse(std::string detail, FieldError error, std::size_t offset,
-                             ProblemType type = problem_type("invalid-json")) const {
+                             const ProblemType& type = kNotJson) const {
         const kernels::TextPlace at = kernels::place_of(text_, offset);
         error.line = at.line;
         error.column = at.column;

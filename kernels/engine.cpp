@@ -150,25 +150,26 @@ ProgramSource Engine::Impl::hemisphere_source(const Model& model, Precision prec
 }
 
 cl::Program Engine::Impl::program(const Model& model, Precision precision, Accuracy accuracy) {
-    return program(model, precision, Purpose(accuracy));
+    return program(model, precision, accuracy == Accuracy::search ? Purpose::search_accuracy : Purpose::full_accuracy);
 }
 
 cl::Program Engine::Impl::hemisphere_program(const Model& model, Precision precision) {
-    return program(model, precision, Purpose());
+    return program(model, precision, Purpose::hemisphere);
 }
 
 cl::Program Engine::Impl::program(const Model& model, Precision precision, Purpose purpose) {
     if (const auto reason = refusal(precision)) throw PrecisionError(*reason);
+    const std::tuple key(precision, purpose, model.prelude, model.text);
     {
-        const std::tuple key(precision, purpose, std::string_view(model.prelude), std::string_view(model.text));
         const std::lock_guard lock(mutex);
         if (const auto it = programs.find(key); it != programs.end()) return it->second;
     }
     try {
-        const cl::Program program =
-            builder->program(purpose ? source(model, precision, *purpose) : hemisphere_source(model, precision));
+        const Accuracy accuracy = purpose == Purpose::search_accuracy ? Accuracy::search : Accuracy::full;
+        const cl::Program program = builder->program(
+            purpose == Purpose::hemisphere ? hemisphere_source(model, precision) : source(model, precision, accuracy));
         const std::lock_guard lock(mutex);
-        return programs.emplace(std::tuple(precision, purpose, model.prelude, model.text), program).first->second;
+        return programs.emplace(key, program).first->second;
     } catch (const CompilerRefusal& refusal) {
         throw BuildError(model.file + " does not build for " + info.name + ":\n" + refusal.what());
     } catch (const cl::Error& error) {

@@ -19,10 +19,10 @@ struct Engine::Impl {
     EngineOptions options;
     std::optional<ProgramBuilder> builder;  // set from the constructor on
     std::mutex mutex;                       // guards programs
-    /// By what differs in their texts, which are long.
-    /// What a program is for: evaluation at an accuracy, or, without one, the hemisphere.
-    using Purpose = std::optional<Accuracy>;
-    std::map<std::tuple<Precision, Purpose, std::string, std::string>, cl::Program, std::less<>> programs;
+    /// What a program is for.
+    enum class Purpose { full_accuracy, search_accuracy, hemisphere };
+    /// By what differs in their texts, which are long: header and text of the model.
+    std::map<std::tuple<Precision, Purpose, std::string, std::string>, cl::Program> programs;
     mutable std::mutex withdrawn_mutex;          // guards withdrawn; not held while the compiler runs
     std::map<Precision, std::string> withdrawn;  // why
 

@@ -56,8 +56,7 @@ double level_of(const Task& task) {
 class Problem {
 public:
     Problem(const Task& task, const std::vector<Interval>& bounds)
-        : task_(task),
-          precision_(task.engine.best_precision()),
+        : precision_(task.engine.best_precision()),
           scale2_(task.weighted.norm > 0 ? task.weighted.norm * task.weighted.norm : 1),
           space_(task.model, bounds, Unknowns::all, task.scale, level_of(task), Charts::passed_over, &task.directions),
           evaluator_(task.engine, task.model, precision_, task.directions, task.weighted.y, task.weighted.weight),
@@ -83,7 +82,6 @@ public:
     }
 
 private:
-    const Task& task_;
     kernels::Precision precision_;
     double scale2_;
     SearchSpace space_;
