@@ -416,6 +416,7 @@ std::string to_json(const kernels::DeviceInfo& device, const optim::FitBench& be
     Json timings = Json::array();
     for (const optim::FitTiming& t : bench.timings)
         timings.push_back({{"growth", t.growth},
+                           {"judge", t.judge},
                            {"models", t.models},
                            {"channels", t.channels},
                            {"samples", t.samples},

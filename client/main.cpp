@@ -303,7 +303,8 @@ int main(int argc, char** argv) {
         ->capture_default_str();
     CLI::App* bench_fit_command = bench->add_subcommand("fit", "Times and memory of whole fits");
     std::string bench_growth;
-    bench_fit_command->add_option("--only", bench_growth, "models, channels, samples, effort, requests or batch");
+    bench_fit_command->add_option("--only", bench_growth,
+                                  "models, channels, samples, effort, judge, requests or batch");
     auto bench_length = optim::BenchLength::standard;
     const std::map<std::string, optim::BenchLength> lengths{{"brief", optim::BenchLength::brief},
                                                             {"standard", optim::BenchLength::standard},

@@ -83,9 +83,10 @@ std::string table(const optim::FitBench& bench) {
     text += fmt::format("  {:<9} {:>8} {:>8} {:<9} {:>8} {:>5} {:>10} {:>10} {:>9}  {}\n", "growth", "channels",
                         "samples", "effort", "requests", "times", "wall, ms", "cpu, ms", "peak, MiB", "models");
     for (const optim::FitTiming& t : bench.timings)
-        text += fmt::format("  {:<9} {:>8} {:>8} {:<9} {:>8} {:>5} {:>10.1f} {:>10.1f} {:>9.1f}  {}\n", t.growth,
-                            t.channels, t.samples, name_of(api::kEfforts, t.effort), t.requests, t.repetitions,
-                            1e3 * t.wall_s, 1e3 * t.cpu_s, t.peak_MiB, fmt::join(t.models, ", "));
+        text += fmt::format("  {:<9} {:>8} {:>8} {:<9} {:>8} {:>5} {:>10.1f} {:>10.1f} {:>9.1f}  {}\n",
+                            t.judge ? "judged" : t.growth, t.channels, t.samples, name_of(api::kEfforts, t.effort),
+                            t.requests, t.repetitions, 1e3 * t.wall_s, 1e3 * t.cpu_s, t.peak_MiB,
+                            fmt::join(t.models, ", "));
     for (const optim::BatchTiming& b : bench.batches)
         text += fmt::format(
             "{} datasets of {} samples: {:.1f} a second and {:.1f} MiB in the first tenth, {:.1f} and {:.1f} MiB in "

@@ -2,6 +2,7 @@
 
 #include <malloc.h>
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <chrono>
 #include <ctime>
@@ -92,8 +93,8 @@ public:
             const auto start = Clock::now();
             std::vector<std::future<void>> answers;
             for (const Dataset& dataset : datasets)
-                answers.push_back(
-                    std::async(std::launch::async, [&, seed] { fit(dataset, models, timing.effort, seed); }));
+                answers.push_back(std::async(std::launch::async,
+                                             [&, seed] { fit(dataset, models, timing.effort, timing.judge, seed); }));
             for (auto& answer : answers) answer.get();
             wall.push_back(std::chrono::duration<double>(Clock::now() - start).count());
             cpu.push_back(cpu_seconds() - cpu_start);
@@ -119,7 +120,7 @@ public:
             for (unsigned client = 0; client < threads_; ++client)
                 clients.push_back(std::async(std::launch::async, [&] {
                     for (std::size_t i = next++; i < end; i = next++)
-                        fit(made_up(engine_, catalogue_, 1, batch.samples, i), models, Effort::standard, i);
+                        fit(made_up(engine_, catalogue_, 1, batch.samples, i), models, Effort::standard, false, i);
                 }));
             for (auto& client : clients) client.get();
             next = end;
@@ -135,8 +136,10 @@ public:
     [[nodiscard]] const std::vector<std::string>& models() const { return models_; }
 
 private:
-    void fit(const Dataset& dataset, const std::vector<ModelRequest>& models, Effort effort, std::uint64_t seed) {
+    void fit(const Dataset& dataset, const std::vector<ModelRequest>& models, Effort effort, bool judge,
+             std::uint64_t seed) {
         FitOptions options;
+        options.judge = judge;
         options.effort = effort;
         options.seed = seed;
         options.time_limit = std::chrono::hours(1);
@@ -206,6 +209,7 @@ FitBench bench_fits(kernels::Engine& engine, const kernels::Catalogue& catalogue
     add("models", &FitTiming::models, sets);
     add("channels", &FitTiming::channels, Counts{1, 2, 4, 8, 16, 31});
     add("effort", &FitTiming::effort, std::vector{Effort::draft, Effort::standard, Effort::thorough});
+    add("judge", &FitTiming::judge, std::array{false, true});
     add("requests", &FitTiming::requests, Counts{1, 2, 4, 8});
     add("samples", &FitTiming::samples,
         length == BenchLength::brief ? Counts{30, 100, 300, 1000, 3000}
@@ -214,7 +218,7 @@ FitBench bench_fits(kernels::Engine& engine, const kernels::Catalogue& catalogue
     if (growth.empty() || growth == "batch") bench.time(result.batches.emplace_back());
     if (result.timings.empty() && result.batches.empty())
         throw std::invalid_argument("no growth \"" + growth +
-                                    "\"; there are models, channels, samples, effort, requests, batch");
+                                    "\"; there are models, channels, samples, effort, judge, requests, batch");
     return result;
 }
 

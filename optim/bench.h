@@ -13,12 +13,14 @@ namespace brdfit::optim {
 
 /// One size of request. Figures are medians over repetitions, each with a seed and a surface of its own.
 struct FitTiming {
-    std::string growth;  ///< what grows beside the neighbours: "models", "channels", "samples", "effort" or "requests"
+    std::string growth;  ///< what grows beside the neighbours: "models", "channels", "samples", "effort",
+                         ///< "requests" or "judge"
     std::vector<std::string> models;
     std::size_t channels = 1;
     std::size_t samples = 500;  ///< of a channel
     Effort effort = Effort::standard;
     std::size_t requests = 1;  ///< at once
+    bool judge = false;        ///< FitOptions::judge
 
     std::size_t repetitions = 0;
     double wall_s = 0;    ///< until all requests are answered

@@ -62,6 +62,7 @@ fit() {
             | (if .growth == "models" and (.models | length | IN(1, 4)) then "500 samples: \(.models | joined)"
                elif .growth == "channels" and (.channels | IN(8, 31)) then "\(.channels) channels of 500 samples, four models"
                elif .growth == "samples" and .samples == 100000 then "100000 samples in and out of the plane, four models"
+               elif .judge then "500 samples, four models, judged"
                elif .growth == "requests" then "requests at once: \(.requests), 500 samples, four models" else empty end)
             as $what | [$what, (.wall_s | ms), (.cpu_s | ms), (.peak_MiB | round)]'
         echo
@@ -75,7 +76,7 @@ fit() {
             | [(if .growth == "models" then "models: \(.models | joined)" else "\(.growth): \(.[.growth])" end),
                 (.wall_s | ms), (.cpu_s | ms), (.peak_MiB | round)]'
     } | put growth
-    jq -r '.timings[] | select(.growth != "models" or .models[0] == "phong")
+    jq -r '.timings[] | select(.growth != "judge") | select(.growth != "models" or .models[0] == "phong")
         | [.growth, (if .growth == "models" then (.models | length) else .[.growth] end), .wall_s, .cpu_s] | @tsv' \
         $out/performance-fit.json >$out/performance-growth.tsv
     gnuplot -e "data='$out/performance-growth.tsv'; picture='docs/figures/performance-growth.svg'" \
