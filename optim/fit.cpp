@@ -629,7 +629,10 @@ Fit fit_model(const Work& work, const Beginning* beginning, double robust_scale)
             continue;
         }
         describe(work, before, robust_scale, *variant);
-        if (!work.options.require.empty()) keep_to_requirements(work, before, robust_scale, loss, *variant);
+        if (!work.options.require.empty()) {
+            keep_to_requirements(work, before, robust_scale, loss, *variant);
+            evaluations = variant->optimum.record.evaluations;
+        }
         if (chosen && !(variant->fit.bic < chosen->fit.bic - kEvidence)) break;
         chosen = std::move(variant);
         if (automatic && !last && work.control.over()) {

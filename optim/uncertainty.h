@@ -43,7 +43,7 @@ struct Uncertainty {
 Uncertainty uncertainty_of(const Estimate& estimate, Refitter& refitter, std::span<const double> units);
 
 /// Intervals of each parameter from `replicates` refits of the data with noise added, bias-corrected percentiles. Needs
-/// sigma. Throws what an evaluator throws.
+/// sigma. Empty if the time ran out first. Throws what an evaluator throws.
 std::vector<std::array<double, 2>> bootstrap_intervals(const Estimate& estimate, Refitter& refitter,
                                                        std::size_t replicates);
 

@@ -147,21 +147,13 @@ INSTANTIATE_TEST_SUITE_P(Log, Materials,
                                                   {"lafortune_2", 0.96, 8},
                                                   {"he_torrance", 0.99, 8}})),
                          name_of);
+const std::vector<Cell> kRobustCells{
+    {"phong", 0.99, 8}, {"ward", 0.99, 8}, {"lafortune_1", 0.97, 8}, {"lafortune_2", 0.9, 2}, {"he_torrance", 0.97, 2}};
 INSTANTIATE_TEST_SUITE_P(Huber, Materials,
-                         testing::ValuesIn(cells("huber", robust_form(Loss::cosine_l2, Robust::huber),
-                                                 {{"phong", 0.99, 8},
-                                                  {"ward", 0.99, 8},
-                                                  {"lafortune_1", 0.97, 8},
-                                                  {"lafortune_2", 0.9, 2},
-                                                  {"he_torrance", 0.97, 2}})),
+                         testing::ValuesIn(cells("huber", robust_form(Loss::cosine_l2, Robust::huber), kRobustCells)),
                          name_of);
 INSTANTIATE_TEST_SUITE_P(Cauchy, Materials,
-                         testing::ValuesIn(cells("cauchy", robust_form(Loss::relative, Robust::cauchy),
-                                                 {{"phong", 0.99, 8},
-                                                  {"ward", 0.99, 8},
-                                                  {"lafortune_1", 0.97, 8},
-                                                  {"lafortune_2", 0.9, 2},
-                                                  {"he_torrance", 0.97, 2}})),
+                         testing::ValuesIn(cells("cauchy", robust_form(Loss::relative, Robust::cauchy), kRobustCells)),
                          name_of);
 
 }  // namespace
