@@ -52,6 +52,7 @@ TEST(Constrained, PlasticLosesItsSurplusOfEnergy) {
     EXPECT_LE(largest(kept, "lafortune_2"), 1 + optim::kAlbedoTolerance);
     EXPECT_GT(largest(kept, "lafortune_2"), 0.99);  // the constraint binds
     EXPECT_EQ(kept.constrained->loss_without, free.loss);
+    EXPECT_GT(kept.search.evaluations, free.search.evaluations) << "the second search counts";
     EXPECT_GT(kept.loss, free.loss);
     std::printf("loss %g, without the requirement %g, %zu of %zu starts agree, %zu evaluations\n", kept.loss, free.loss,
                 kept.search.agreed, kept.search.starts, kept.search.evaluations);
