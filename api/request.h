@@ -50,9 +50,6 @@ FitRequest read_job(std::string_view text, std::string_view dataset, const kerne
 /// POST /v1/datasets with application/json or text/csv (query: name, unit): each channel has samples. Throws Refusal.
 optim::Dataset read_dataset(std::string_view body);
 optim::Dataset read_dataset_csv(std::string_view body, const Query& query);
-/// The dataset as JSON that read_dataset() reads, the same for the same measurements: reading and writing it again
-/// changes nothing. Azimuths are rounded once, to 1e-13 degrees.
-std::string canonical_text(const optim::Dataset& dataset);
 
 /// What all of these accept, for the published document.
 schema::Json dataset_schema();

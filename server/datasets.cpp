@@ -1,5 +1,6 @@
 #include "server/datasets.h"
 
+#include "api/dataset.h"
 #include "api/examples.h"
 #include "api/listing.h"
 #include "api/request.h"

@@ -5,6 +5,7 @@
 #include <nlohmann/json.hpp>
 
 #include "api/answers.h"
+#include "api/dataset.h"
 #include "api/json.h"
 #include "api/query.h"
 #include "api/request.h"
