@@ -383,11 +383,12 @@ Supervisor::~Supervisor() { impl_->stop(); }
 
 void Supervisor::start(const std::stop_token& stop) {
     Impl& impl = *impl_;
+    const std::stop_callback stopped(stop, [&impl] { impl.changed.notify_all(); });
+    std::unique_lock lock(impl.mutex);
+    if (impl.stopping) return;  // else stop() finds all threads there: it may come from another thread at any time
     impl.waker = std::jthread([&impl] { impl.wake(); });
     impl.tender = std::jthread([&impl] { impl.tend(); });
     for (Impl::Worker& worker : impl.workers) impl.keepers.emplace_back([&impl, &worker] { impl.keep(worker); });
-    const std::stop_callback stopped(stop, [&impl] { impl.changed.notify_all(); });
-    std::unique_lock lock(impl.mutex);
     while (!stop.stop_requested() && !impl.facts && impl.failure.empty() && impl.ends < kTries)
         impl.changed.wait_for(lock, 50ms);
     if (!impl.failure.empty()) throw std::runtime_error(impl.failure);
