@@ -142,9 +142,7 @@ public:
 
     /// A string or a number is longer than any that means something.
     [[noreturn]] void refuse_token(std::size_t offset) const {
-        FieldError error{place(), "too_long", "a string or a number has at most 1 MiB", {}, {}};
-        std::string detail = error.pointer + ": " + error.detail;
-        refuse(std::move(detail), std::move(error), offset, problem_type("invalid-request"));
+        refuse_field({place(), "too_long", "a string or a number has at most 1 MiB", {}, {}}, offset);
     }
 
     json document;
@@ -180,10 +178,13 @@ private:
         for (const std::string& part : path_) path += "/" + part;
         return path;
     }
-    [[noreturn]] void refuse_size(FieldError error) const {
-        std::string detail = error.pointer + ": " + error.detail;
-        refuse(std::move(detail), std::move(error), reading.last, problem_type("invalid-request"));
+    [[noreturn]] void refuse_field(FieldError error, std::size_t offset) const {
+        const kernels::TextPlace at = kernels::place_of(text_, offset);
+        error.line = at.line;
+        error.column = at.column;
+        throw invalid_fields({std::move(error)});
     }
+    [[noreturn]] void refuse_size(FieldError error) const { refuse_field(std::move(error), reading.last); }
     json* put(json value) {
         if (++values_ > kMostValues)
             refuse_size(
@@ -236,9 +237,7 @@ private:
         std::vector<FieldError> errors = critic_(document);
         errors.erase(std::remove_if(errors.begin(), errors.end(), [&](const FieldError& e) { return may_mend(e); }),
                      errors.end());
-        if (errors.empty()) return;
-        std::string detail = errors.front().pointer + ": " + errors.front().detail;
-        throw Refusal({problem_type("invalid-request"), std::move(detail), std::move(errors)});
+        if (!errors.empty()) throw invalid_fields(std::move(errors));
     }
     /// Whether what follows may mend it: it is about a container that is open, or what may be missing in one.
     [[nodiscard]] bool may_mend(const FieldError& error) const {
