@@ -15,8 +15,9 @@ namespace brdfit::api {
 using Critic = std::function<std::vector<FieldError>(const nlohmann::json&)>;
 
 /// Parses a document. Refused (Refusal, 400) beyond what is not JSON: nesting deeper than 16, a key twice in an object,
-/// a NUL byte; and (422) a number too large for a double, a string or number beyond 1 MiB, more than 4 MiB of strings, and more members, elements
-/// or values than any request has, before they take memory. Errors have their pointer, line and column.
+/// a NUL byte; and (422) a number too large for a double, a string or number beyond 1 MiB, more than 4 MiB of strings,
+/// and more members, elements or values than any request has, before they take memory. Errors have their pointer, line
+/// and column.
 ///
 /// A document that grows large is shown to the critic now and then, and refused (422) as soon as something is wrong
 /// with it that what follows cannot mend: only what is measurements may take the memory of measurements.

@@ -33,7 +33,7 @@ long=(effort=thorough "$work/many.csv")
 # ---- a worker that stands still in mid-fit: what becomes of it is seen below, half a minute later ----
 require_server
 check "two workers compute" until_true 60 workers_are 2
-fit still "${long[@]}"
+fit still 'effort=thorough&models=he_torrance' "$work/many.csv"
 check "a fit is under way" until_true 20 running
 kill -STOP "$(of_owner)"
 still=(url="$url" server="$server" store="$store" log="$log")

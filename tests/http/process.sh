@@ -95,7 +95,7 @@ terminated_early() {
 terminated_early
 check_equal "SIGTERM before it listens" "$status" 0
 # With many workers the time in which they are made is long: one of fifteen such ends was a crash.
-for _ in {1..40}; do
+for _ in {1..25}; do
     terminated_early --workers 64
     [[ $status == 0 ]] || break
 done
