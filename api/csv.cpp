@@ -4,6 +4,7 @@
 #include <array>
 #include <charconv>
 #include <cmath>
+#include <deque>
 #include <map>
 #include <vector>
 
@@ -35,9 +36,11 @@ constexpr std::array<ColumnRule, kColumns> kRules{{
 class Errors {
 public:
     void add(std::size_t line, std::size_t field, std::string code, std::string detail) {
-        if (errors_.size() < kMostErrors) errors_.push_back({"", std::move(code), std::move(detail), line, field});
+        if (!is_full()) errors_.push_back({"", std::move(code), std::move(detail), line, field});
     }
     [[nodiscard]] bool empty() const { return errors_.empty(); }
+    /// Whether no further error would be kept: what is left need not be read.
+    [[nodiscard]] bool is_full() const { return errors_.size() >= kMostErrors; }
     void throw_if_any() const {
         if (!errors_.empty())
             throw Refusal({problem_type("invalid-request"),
@@ -49,49 +52,68 @@ private:
     std::vector<FieldError> errors_;
 };
 
-std::string trimmed(std::string_view text) {
-    const auto first = text.find_first_not_of(" \t");
+constexpr std::string_view kBlanks = " \t";
+constexpr std::size_t kMostFields = 1000;                    ///< of a line
+constexpr std::size_t kLongestField = std::size_t{1} << 20;  ///< [bytes]; no name is near it
+
+std::string_view trimmed(std::string_view text) {
+    const auto first = text.find_first_not_of(kBlanks);
     if (first == std::string_view::npos) return "";
-    return std::string(text.substr(first, text.find_last_not_of(" \t") - first + 1));
+    return text.substr(first, text.find_last_not_of(kBlanks) - first + 1);
 }
 
 /// The fields of a line, as RFC 4180 writes them: a quoted one may hold commas, and quotes that are doubled; blanks
-/// count within quotes only. Empty after an error.
-std::vector<std::string> fields_of(std::string_view line, std::size_t number, Errors& errors) {
-    constexpr std::string_view kBlanks = " \t";
-    std::vector<std::string> fields;
-    for (std::size_t at = 0;; ++at) {  // at the first byte of a field
-        const auto refuse = [&](const char* reason) {
-            errors.add(number, fields.size() + 1, "syntax", reason);
-            return std::vector<std::string>{};
+/// count within quotes only. They are views of the line.
+class Fields {
+public:
+    /// False after an error.
+    bool read(std::string_view line, std::size_t number, Errors& errors) {
+        fields_.clear();
+        unquoted_.clear();
+        const auto refuse = [&](const char* code, std::string reason) {
+            errors.add(number, fields_.size() + 1, code, std::move(reason));
+            return false;
         };
-        const auto first = line.find_first_not_of(kBlanks, at);
-        if (first == std::string_view::npos || line[first] != '"') {
-            const std::string_view field = line.substr(at, line.find(',', at) - at);
-            if (field.find('"') != std::string_view::npos) return refuse("a quote within a field that is not quoted");
-            fields.push_back(trimmed(field));
-            at += field.size();
-        } else {
-            std::string field;
-            for (at = first + 1;; ++at) {
-                const auto quote = line.find('"', at);
-                if (quote == std::string_view::npos) return refuse("a quoted field that does not end");
-                field += line.substr(at, quote - at);
-                at = quote + 1;
-                if (at == line.size() || line[at] != '"') break;
-                field += '"';
+        for (std::size_t at = 0;; ++at) {  // at the first byte of a field
+            if (fields_.size() == kMostFields)
+                return refuse("too_many", "a line has at most " + std::to_string(kMostFields) + " fields");
+            const auto first = line.find_first_not_of(kBlanks, at);
+            if (first == std::string_view::npos || line[first] != '"') {
+                const std::string_view field = line.substr(at, line.find(',', at) - at);
+                if (field.find('"') != std::string_view::npos)
+                    return refuse("syntax", "a quote within a field that is not quoted");
+                fields_.push_back(trimmed(field));
+                at += field.size();
+            } else {
+                std::string& field = unquoted_.emplace_back();
+                for (at = first + 1;; ++at) {
+                    const auto quote = line.find('"', at);
+                    if (quote == std::string_view::npos) return refuse("syntax", "a quoted field that does not end");
+                    if (field.size() + (quote - at) > kLongestField)
+                        return refuse("too_long", "at most " + std::to_string(kLongestField) + " bytes");
+                    field += line.substr(at, quote - at);
+                    at = quote + 1;
+                    if (at == line.size() || line[at] != '"') break;
+                    field += '"';
+                }
+                at = std::min(line.find_first_not_of(kBlanks, at), line.size());
+                if (at < line.size() && line[at] != ',') return refuse("syntax", "text behind a quoted field");
+                fields_.push_back(field);
             }
-            at = std::min(line.find_first_not_of(kBlanks, at), line.size());
-            if (at < line.size() && line[at] != ',') return refuse("text behind a quoted field");
-            fields.push_back(std::move(field));
+            if (at == line.size()) return true;
         }
-        if (at == line.size()) return fields;
     }
-}
+    [[nodiscard]] std::size_t size() const { return fields_.size(); }
+    std::string_view operator[](std::size_t i) const { return fields_[i]; }
+
+private:
+    std::vector<std::string_view> fields_;
+    std::deque<std::string> unquoted_;
+};
 
 /// A finite number that fills the field, independent of the locale.
-std::optional<double> number_of(const std::string& field) {
-    const std::string text = trimmed(field);
+std::optional<double> number_of(std::string_view field) {
+    const std::string_view text = trimmed(field);
     if (text.starts_with("+-")) return std::nullopt;
     const char* begin = text.data() + (text.starts_with('+') ? 1 : 0);
     double value = 0;
@@ -103,14 +125,15 @@ std::optional<double> number_of(const std::string& field) {
 struct Row {
     std::size_t line = 0;
     std::array<double, kColumns> value{};
-    std::string channel;
+    std::string_view channel{};
+    bool good = true;
 };
 
 /// Position of each column in the file, or npos.
 using Header = std::array<std::size_t, kColumns>;
 constexpr std::size_t kAbsent = static_cast<std::size_t>(-1);
 
-Header read_header(const std::vector<std::string>& names, std::size_t line, Errors& errors) {
+Header read_header(const Fields& names, std::size_t line, Errors& errors) {
     Header header;
     header.fill(kAbsent);
     std::string valid;
@@ -120,7 +143,7 @@ Header read_header(const std::vector<std::string>& names, std::size_t line, Erro
             std::find_if(kRules.begin(), kRules.end(), [&](const auto& r) { return r.name == trimmed(names[i]); });
         if (rule == kRules.end()) {
             errors.add(line, i + 1, "unknown_key",
-                       "unknown column \"" + names[i].substr(0, 40) + "\"; valid are: " + valid);
+                       "unknown column \"" + std::string(names[i].substr(0, 40)) + "\"; valid are: " + valid);
             continue;
         }
         std::size_t& place = header[static_cast<std::size_t>(rule - kRules.begin())];
@@ -135,118 +158,132 @@ Header read_header(const std::vector<std::string>& names, std::size_t line, Erro
     return header;
 }
 
-Row read_row(const std::vector<std::string>& fields, const Header& header, std::size_t line, Errors& errors) {
+Row read_row(const Fields& fields, const Header& header, std::size_t line, Errors& errors) {
     Row row;
     row.line = line;
+    const auto refuse = [&](std::size_t column, const char* code, std::string detail) {
+        errors.add(line, header[column] + 1, code, std::move(detail));
+        row.good = false;
+    };
     for (std::size_t c = 0; c < kColumns; ++c) {
         if (header[c] == kAbsent) continue;
-        const std::string& text = fields[header[c]];
+        const std::string_view text = fields[header[c]];
         if (c == channel) {
-            if (text.size() > kLongestName)
-                errors.add(line, header[c] + 1, "too_long", "at most " + std::to_string(kLongestName) + " bytes");
-            if (!is_utf8(text)) errors.add(line, header[c] + 1, "not_utf8", "the channel's name is not UTF-8");
+            if (text.size() > kLongestName) refuse(c, "too_long", "at most " + std::to_string(kLongestName) + " bytes");
+            else if (!is_utf8(std::string(text))) refuse(c, "not_utf8", "the channel's name is not UTF-8");
             row.channel = text;
             continue;
         }
         const auto value = number_of(text);
         if (!value) {
-            errors.add(line, header[c] + 1, "not_a_number",
-                       std::string(kRules[c].name) + " must be a finite number, not \"" + text.substr(0, 40) + "\"");
+            refuse(c, "not_a_number",
+                   std::string(kRules[c].name) + " must be a finite number, not \"" + std::string(text.substr(0, 40)) +
+                       "\"");
             continue;
         }
-        if (const auto reason = (*kRules[c].bad)(*value)) errors.add(line, header[c] + 1, "out_of_range", *reason);
+        if (const auto reason = (*kRules[c].bad)(*value)) refuse(c, "out_of_range", *reason);
         row.value[c] = *value;
     }
     return row;
 }
 
-std::vector<Row> read_rows(std::string_view text, Header& header) {
-    Errors errors;
-    std::vector<Row> rows;
-    bool has_header = false;
-    std::size_t columns = 0;
+/// Reads the file from the beginning: work(row) for each of its rows, the header before it. Ends where no further error
+/// would be kept, or where work returns false.
+template <class Work>
+void for_each_row(std::string_view text, Header& header, Errors& errors, const Work& work) {
+    std::size_t columns = 0;  // none before the header
     std::size_t number = 0;
-    while (!text.empty()) {
+    std::size_t rows = 0;
+    Fields fields;
+    while (!text.empty() && !errors.is_full()) {
         const auto end = text.find('\n');
         std::string_view line = text.substr(0, end);
         text.remove_prefix(end == std::string_view::npos ? text.size() : end + 1);
         if (++number == 1 && line.starts_with("\xEF\xBB\xBF")) line.remove_prefix(3);
         if (line.ends_with('\r')) line.remove_suffix(1);
         if (line.starts_with('#') || trimmed(line).empty()) continue;
-        const std::vector<std::string> fields = fields_of(line, number, errors);
-        if (fields.empty()) {  // refused
-            if (!has_header) errors.throw_if_any();
-            continue;
-        }
-        if (!has_header) {
-            header = read_header(fields, number, errors);
+        const bool good = fields.read(line, number, errors);
+        if (columns == 0) {
+            if (good) header = read_header(fields, number, errors);
             columns = fields.size();
-            has_header = true;
             errors.throw_if_any();  // rows mean nothing without it
-            continue;
-        }
-        if (fields.size() != columns) {
+        } else if (good && fields.size() != columns) {
             errors.add(
                 number, 1, "ragged",
                 "has " + std::to_string(fields.size()) + " fields where the header has " + std::to_string(columns));
-            continue;
+        } else if (good) {
+            ++rows;
+            if (!work(read_row(fields, header, number, errors))) return;
         }
-        if (rows.size() == kMostSamples) {
-            errors.add(number, 1, "too_many", "at most " + std::to_string(kMostSamples) + " rows");
-            break;
-        }
-        rows.push_back(read_row(fields, header, number, errors));
     }
-    if (rows.empty() && errors.empty())
+    if (rows == 0 && errors.empty())
         errors.add(std::max<std::size_t>(number, 1), 1, "missing", "there are no rows of data");
-    errors.throw_if_any();
-    return rows;
 }
+
+/// What a channel will hold.
+struct Tally {
+    std::size_t index = 0;  ///< among the channels
+    std::size_t samples = 0;
+    double wavelength_nm = 0;
+};
 
 }  // namespace
 
 optim::Dataset read_csv(std::string_view text) {
-    Header header;
-    const std::vector<Row> rows = read_rows(text, header);
-    const bool has_phi = header[phi_i] != kAbsent;
-    const bool has_sign =
-        !has_phi || std::any_of(rows.begin(), rows.end(), [](const Row& row) { return row.value[theta_r] < 0; });
-
+    Header header{};
     Errors errors;
-    optim::Dataset dataset;
-    std::map<std::string, std::size_t> index;
-    for (const Row& row : rows) {
-        const bool has_wavelength = header[wavelength] != kAbsent;
-        std::string name = row.channel;
-        if (name.empty()) name = has_wavelength ? wavelength_name(row.value[wavelength]) : "1";
-        const auto [at, is_new] = index.try_emplace(name, dataset.channels.size());
-        if (is_new) {
-            if (dataset.channels.size() == kMostChannels) {
-                errors.add(row.line, 1, "too_many", "at most " + std::to_string(kMostChannels) + " channels");
-                break;
-            }
-            dataset.channels.push_back({name, {}, {}});
-            if (has_wavelength) dataset.channels.back().wavelength_nm = row.value[wavelength];
-        }
-        optim::Channel& to = dataset.channels[at->second];
-        if (has_wavelength && to.wavelength_nm != row.value[wavelength])
+    std::map<std::string, Tally, std::less<>> channels;
+    const auto name_of = [&](const Row& row) -> std::string {
+        if (!row.channel.empty()) return std::string(row.channel);
+        return header[wavelength] == kAbsent ? "1" : wavelength_name(row.value[wavelength]);
+    };
+
+    // Once to refuse, and once to keep: what is refused takes no memory.
+    std::size_t rows = 0;
+    bool any_negative = false;
+    for_each_row(text, header, errors, [&](const Row& row) {
+        if (++rows > kMostSamples)
+            return errors.add(row.line, 1, "too_many", "at most " + std::to_string(kMostSamples) + " rows"), false;
+        any_negative = any_negative || row.value[theta_r] < 0;
+        if (!row.good) return true;
+        const auto [at, is_new] = channels.try_emplace(name_of(row), Tally{channels.size(), 0, row.value[wavelength]});
+        if (channels.size() > kMostChannels)
+            return errors.add(row.line, 1, "too_many", "at most " + std::to_string(kMostChannels) + " channels"), false;
+        ++at->second.samples;
+        if (at->second.wavelength_nm != row.value[wavelength])
             errors.add(row.line, header[wavelength] + 1, "contradiction",
-                       "the channel " + name + " has another wavelength in an earlier row");
+                       "the channel " + at->first + " has another wavelength in an earlier row");
+        return true;
+    });
+    errors.throw_if_any();
+
+    optim::Dataset dataset;
+    dataset.channels.resize(channels.size());
+    for (const auto& [name, tally] : channels) {
+        optim::Channel& channel = dataset.channels[tally.index];
+        channel.name = name;
+        if (header[wavelength] != kAbsent) channel.wavelength_nm = tally.wavelength_nm;
+        channel.samples.reserve(tally.samples);
+    }
+    const bool has_phi = header[phi_i] != kAbsent;
+    const Signs signs = !has_phi || any_negative ? Signs::meaningful : Signs::absent;
+    for_each_row(text, header, errors, [&](const Row& row) {
         optim::Sample sample;
         sample.brdf = row.value[brdf];
         if (header[sigma] != kAbsent) sample.sigma = row.value[sigma];
         sample.direction = {row.value[theta_i], row.value[theta_r], 0};
         if (has_phi) {
-            const auto direction = direction_of(row.value[theta_i], row.value[theta_r], row.value[phi_i],
-                                                row.value[phi_r], has_sign ? Signs::meaningful : Signs::absent);
+            const auto direction =
+                direction_of(row.value[theta_i], row.value[theta_r], row.value[phi_i], row.value[phi_r], signs);
             if (direction) sample.direction = *direction;
             else
                 errors.add(row.line, header[theta_r] + 1, "contradiction",
                            "the sign of theta_r_deg (positive = specular side) contradicts phi_r_deg - phi_i_deg "
                            "(180 = specular side)");
         }
-        to.samples.push_back(sample);
-    }
+        dataset.channels[channels.find(name_of(row))->second.index].samples.push_back(sample);
+        return true;
+    });
     errors.throw_if_any();
     return dataset;
 }

@@ -31,7 +31,11 @@ struct Columns {
 Field<Columns> column(std::string_view key, bool required, std::string_view doc, std::vector<double> Columns::*to,
                       const Rule& bad) {
     return {key, required, doc, schema::array(schema::number(bad), 1, kMostRows),
-            [=](const json& v, const Place& p, Columns& out) { out.*to = read_column(v, p, bad); }};
+            [=](const json& v, const Place& p, Columns& out) {
+                if (v.is_array() && v.size() > kMostRows)
+                    p.fail("too_many", "at most " + std::to_string(kMostRows) + " elements");
+                else out.*to = read_column(v, p, bad);
+            }};
 }
 
 const std::vector<Field<Columns>> kGeometryFields{
@@ -44,16 +48,12 @@ void read_geometry(const json& value, const Place& place, Raw& out) {
     Columns columns;
     read_object<Columns>(value, place, kGeometryFields, columns);
     if (!value.is_object() || !value.contains("theta_i_deg") || !value.contains("theta_r_deg")) return;
-    if (!value["theta_r_deg"].is_array()) return;  // told by its field
+    if (!value["theta_r_deg"].is_array() || value["theta_r_deg"].size() > kMostRows) return;  // told by its field
     const std::size_t n = columns.theta_r.size();
     bool whole = same_length(place, "theta_i_deg", columns.theta_i.size(), n);
     if (value.contains("phi_deg")) whole = same_length(place, "phi_deg", columns.phi.size(), n) && whole;
     else columns.phi.assign(n, 0.0);
-    if (n == 0 || n > kMostRows) {
-        place.at("theta_r_deg")
-            .fail(n == 0 ? "too_few" : "too_many", "must have 1 to " + std::to_string(kMostRows) + " elements");
-        return;
-    }
+    if (n == 0) place.at("theta_r_deg").fail("too_few", "must have 1 to " + std::to_string(kMostRows) + " elements");
     for (std::size_t j = 0; whole && j < n; ++j)
         out.request.directions.push_back({columns.theta_i[j], columns.theta_r[j], columns.phi[j]});
 }
@@ -131,7 +131,12 @@ void append(std::string& out, const double* values, std::size_t count, double fa
 schema::Json evaluate_request_schema() { return schema_of(kFields); }
 
 EvaluateRequest read_evaluate_request(std::string_view body, const kernels::Catalogue& catalogue) {
-    const json document = parse_json(body);
+    const json document = parse_json(body, [](const json& part) {
+        std::vector<FieldError> wrong;
+        Raw unused;
+        read_object<Raw>(part, Place(wrong, ""), kFields, unused);
+        return wrong;
+    });
     std::vector<FieldError> errors;
     const Place root(errors, "");
     Raw raw;

@@ -188,9 +188,7 @@ inline bool same_length(const Place& place, std::string_view key, std::size_t le
 
 /// Throws Refusal (422) with these errors, if there are any.
 inline void refuse_if_any(std::vector<FieldError> errors) {
-    if (errors.empty()) return;
-    std::string detail = errors.front().pointer + ": " + errors.front().detail;
-    throw Refusal({problem_type("invalid-request"), std::move(detail), std::move(errors)});
+    if (!errors.empty()) throw invalid_fields(std::move(errors));
 }
 
 inline std::optional<double> read_checked(const nlohmann::json& value, const Place& place, const Rule& bad) {

@@ -16,6 +16,12 @@ std::string pointer_part(std::string_view key) {
     return is_long ? out + "…" : out;
 }
 
+Refusal invalid_fields(std::vector<FieldError> errors) {
+    const FieldError& first = errors.front();
+    std::string detail = first.pointer.empty() ? first.detail : first.pointer + ": " + first.detail;
+    return Refusal({problem_type("invalid-request"), std::move(detail), std::move(errors)});
+}
+
 std::string to_json(const Problem& problem, const std::string& instance, const std::string& request_id) {
     nlohmann::ordered_json body{{"type", "/problems/" + std::string(problem.type.name)},
                                 {"title", problem.type.title},

@@ -109,6 +109,9 @@ private:
     Problem problem_;
 };
 
+/// Refuses a request's fields: 422. There is at least one error, of which the first is the detail.
+Refusal invalid_fields(std::vector<FieldError> errors);
+
 /// The body.
 std::string to_json(const Problem& problem, const std::string& instance, const std::string& request_id);
 /// What a kind means.

@@ -25,6 +25,8 @@ using optim::Sample;
 using optim::Scene;
 
 // ---- the whole ----
+/// What the text of a job begins with whose request came as CSV: then its query as JSON, an end of line, and the CSV.
+constexpr std::string_view kCsvJob = "csv ";
 
 /// Parts of the loss that do not go together, or not with the measured angles.
 void check_loss(const FitRequest& request, const Place& options) {
@@ -114,10 +116,8 @@ const std::vector<Field<RawRequest>> kRequestFields{
      schema_of(scene_fields()), [](const json& v, const Place&, RawRequest& out) { out.scene = &v; }},
 };
 
-/// Models and options into the request, then the checks over everything.
-void finish(const RawRequest& raw, const kernels::Catalogue& catalogue, FitRequest& request,
-            std::vector<FieldError>& errors) {
-    const Place root(errors, "");
+/// Models and options into the request.
+void read_rest(const RawRequest& raw, const kernels::Catalogue& catalogue, FitRequest& request, const Place& root) {
     if (raw.models != nullptr) read_models(*raw.models, root.at("models"), catalogue, request.models);
     else
         for (const kernels::Family& family : catalogue.families()) request.models.push_back({&family, {}, {}, {}});
@@ -127,17 +127,20 @@ void finish(const RawRequest& raw, const kernels::Catalogue& catalogue, FitReque
         request.options.scene.emplace();
         read_object<FitOptions>(*raw.scene, root.at("scene"), scene_fields(), request.options);
     }
+}
+
+/// The checks over everything, if every field is good.
+void finish(const RawRequest& raw, const FitRequest& request, std::vector<FieldError>& errors) {
+    const Place root(errors, "");
     if (errors.empty()) check_together(request, raw.models != nullptr, root);
     refuse_if_any(std::move(errors));
 }
 
-/// A request of JSON that has been parsed.
-FitRequest read_document(const json& document, const kernels::Catalogue& catalogue, const DatasetSource& datasets) {
-    std::vector<FieldError> errors;
-    const Place root(errors, "");
+/// The fields of a request of JSON that has been parsed.
+RawRequest read_fields(const json& document, const kernels::Catalogue& catalogue, const DatasetSource& datasets,
+                       FitRequest& request, const Place& root) {
     RawRequest raw;
     read_object<RawRequest>(document, root, kRequestFields, raw);
-    FitRequest request;
     if (raw.dataset != nullptr && raw.dataset->is_string()) {
         const Place place = root.at("dataset");
         const auto body = datasets ? datasets(raw.dataset->get<std::string>()) : std::nullopt;
@@ -146,8 +149,25 @@ FitRequest read_document(const json& document, const kernels::Catalogue& catalog
     } else if (raw.dataset != nullptr) {
         read_object<Dataset>(*raw.dataset, root.at("dataset"), dataset_fields(), request.dataset);
     }
-    finish(raw, catalogue, request, errors);
+    read_rest(raw, catalogue, request, root);
+    return raw;
+}
+
+FitRequest read_document(const json& document, const kernels::Catalogue& catalogue, const DatasetSource& datasets) {
+    std::vector<FieldError> errors;
+    FitRequest request;
+    const RawRequest raw = read_fields(document, catalogue, datasets, request, Place(errors, ""));
+    finish(raw, request, errors);
     return request;
+}
+
+json parse_request(std::string_view body, const kernels::Catalogue& catalogue) {
+    return parse_json(body, [&](const json& part) {
+        std::vector<FieldError> errors;
+        FitRequest request;
+        read_fields(part, catalogue, {}, request, Place(errors, ""));
+        return errors;
+    });
 }
 
 // ---- what stands in the query beside a body of CSV ----
@@ -211,7 +231,7 @@ Dataset with_query(Dataset dataset, CsvQuery query) {
 }  // namespace
 
 FitRequest read_fit_request(std::string_view body, const kernels::Catalogue& catalogue, const DatasetSource& datasets) {
-    return read_document(parse_json(body), catalogue, datasets);
+    return read_document(parse_request(body, catalogue), catalogue, datasets);
 }
 
 FitRequest read_fit_request_csv(std::string_view body, const Query& query, const kernels::Catalogue& catalogue) {
@@ -223,37 +243,48 @@ FitRequest read_fit_request_csv(std::string_view body, const Query& query, const
     request.options = read.options;
     RawRequest raw;
     if (!read.models.is_null()) raw.models = &read.models;
-    finish(raw, catalogue, request, errors);
+    read_rest(raw, catalogue, request, Place(errors, ""));
+    finish(raw, request, errors);
     return request;
 }
 
 PostedFit read_posted_fit(std::string_view body, const kernels::Catalogue& catalogue, const DatasetSource& datasets) {
-    const json document = parse_json(body);
-    PostedFit posted{read_document(document, catalogue, datasets), document.dump(), {}};
+    const json document = parse_request(body, catalogue);
+    PostedFit posted{read_document(document, catalogue, datasets).options.precision, document.dump(), {}};
     if (document["dataset"].is_string()) posted.dataset = document["dataset"].get<std::string>();
     return posted;
 }
 
 PostedFit read_posted_fit_csv(std::string_view body, const Query& query, const kernels::Catalogue& catalogue) {
-    PostedFit posted{read_fit_request_csv(body, query, catalogue), "", {}};
-    posted.text = json{{"csv", body}, {"query", query}}.dump(-1, ' ', false, json::error_handler_t::replace);
+    PostedFit posted{read_fit_request_csv(body, query, catalogue).options.precision, "", {}};
+    // Not within JSON, where reading it again would take several times its size.
+    const std::string line = json(query).dump(-1, ' ', false, json::error_handler_t::replace) + "\n";
+    posted.text.reserve(kCsvJob.size() + line.size() + body.size());
+    posted.text.append(kCsvJob).append(line).append(body);
     return posted;
 }
 
 FitRequest read_job(std::string_view text, std::string_view dataset, const kernels::Catalogue& catalogue) {
-    const json document = parse_json(text);
-    if (document.contains("csv"))
-        return read_fit_request_csv(document["csv"].get_ref<const std::string&>(), document["query"].get<Query>(),
-                                    catalogue);
-    return read_document(document, catalogue, [&](const std::string&) { return std::string(dataset); });
+    if (text.starts_with(kCsvJob)) {
+        text.remove_prefix(kCsvJob.size());
+        const std::size_t end = text.find('\n');
+        return read_fit_request_csv(text.substr(end + 1), parse_json(text.substr(0, end)).get<Query>(), catalogue);
+    }
+    return read_document(parse_json(text), catalogue, [&](const std::string&) { return std::string(dataset); });
 }
 
 Dataset read_dataset(std::string_view body) {
-    const json document = parse_json(body);
     std::vector<FieldError> errors;
     const Place root(errors, "");
     Dataset dataset;
-    read_object<Dataset>(document, root, dataset_fields(), dataset);
+    read_object<Dataset>(parse_json(body,
+                                    [](const json& part) {
+                                        std::vector<FieldError> wrong;
+                                        Dataset unused;
+                                        read_object<Dataset>(part, Place(wrong, ""), dataset_fields(), unused);
+                                        return wrong;
+                                    }),
+                         root, dataset_fields(), dataset);
     if (errors.empty())
         for (std::size_t c = 0; c < dataset.channels.size(); ++c)
             if (dataset.channels[c].samples.empty())

@@ -36,7 +36,7 @@ FitRequest read_fit_request_csv(std::string_view body, const Query& query, const
 
 /// A request that is to become a job.
 struct PostedFit {
-    FitRequest request;
+    std::optional<kernels::Precision> precision;  ///< that it asks for
     /// The request as one text, whatever the order of its keys and its blanks: what a job keeps and read_job() reads.
     std::string text;
     std::optional<std::string> dataset;  ///< id of the stored dataset that it names

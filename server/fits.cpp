@@ -305,8 +305,8 @@ Response Fits::outcome(const Request& request, const Job& job) {
 
 Response Fits::post(const Call& call) {
     const Request& request = call.request;
-    const api::PostedFit posted = read(request);
-    require_proven(posted.request.options.precision);
+    api::PostedFit posted = read(request);
+    require_proven(posted.precision);
     const Preferences wanted = preferences(request);
     const seconds time = wanted.wait.value_or(wanted.respond_async ? seconds(0) : kUsualWait);
 
@@ -315,8 +315,8 @@ Response Fits::post(const Call& call) {
     job.tenant = request.tenant;
     job.priority = time > seconds(0) ? Priority::interactive : Priority::batch;
     job.dataset = posted.dataset;
-    job.request = posted.text;
     job.result_key = result_key_of(posted, request);
+    job.request = std::move(posted.text);
     job.reuse = !lists(request.header("Cache-Control"), "no-cache");
     job.idempotency = idempotency_key(request);
     using Outcome = Submitted::Outcome;
@@ -326,6 +326,7 @@ Response Fits::post(const Call& call) {
         return store_.submit(job);
     };
     const Submitted submitted = submit();
+    job.request = std::string();  // not while it waits
     switch (submitted.outcome) {
         case Outcome::in_flight: throw Refusal({problem_type("in-flight"), "it is " + self_of(submitted.id), {}});
         case Outcome::other_body:

@@ -130,8 +130,11 @@ public:
     }
 };
 
-/// A `?` within the query, which the library takes for a second one, is escaped.
-std::string one_query(std::string target) {
+/// The target as the library must get it: a `?` within the query, which it would take for a second one, is escaped; a
+/// `/` that was escaped in the path stays so, as it is part of a name there.
+std::string unambiguous(std::string target) {
+    for (std::size_t at = 0; (at = target.find('%', at)) < target.find('?'); ++at)
+        if (boost::algorithm::iequals(target.substr(at, 3), "%2f")) target.replace(at, 3, "%252F");
     const std::size_t query = target.find('?');
     for (std::size_t at = query; at != std::string::npos;) {
         at = target.find('?', at + 1);
@@ -201,7 +204,7 @@ struct HttpServer::Impl final : Service {
                 fill(exchange, response, request.id, to);
             };
             const Head& head = exchange.head;
-            const std::string line = head.method + " " + one_query(head.target) + " HTTP/1.1";
+            const std::string line = head.method + " " + unambiguous(head.target) + " HTTP/1.1";
             if (!library.process(line, exchange.address, exchange.last, respond, exchange.output))
                 throw std::runtime_error("the library cannot read a request line");
             const std::size_t bytes = finish_stream(exchange, request, response);

@@ -4,9 +4,12 @@
 #include <array>
 #include <chrono>
 #include <cstdio>
+#include <memory>
+#include <new>
 #include <random>
+#include <span>
 
-#include <openssl/sha.h>
+#include <openssl/evp.h>
 
 #include "api/names.h"
 
@@ -15,6 +18,37 @@ namespace {
 
 constexpr auto& kStates = api::kFitStates;
 constexpr std::array<std::string_view, 4> kEvents{"state", "progress", "model_done", "done"};
+
+/// SHA-256.
+class Digest {
+public:
+    Digest() : context_(EVP_MD_CTX_new()) {
+        if (!context_ || EVP_DigestInit_ex(context_.get(), EVP_sha256(), nullptr) != 1) throw std::bad_alloc();
+    }
+    Digest& add(std::string_view bytes) {
+        if (EVP_DigestUpdate(context_.get(), bytes.data(), bytes.size()) != 1) throw std::bad_alloc();
+        return *this;
+    }
+    /// 64 hexadecimal digits, once.
+    std::string text() {
+        std::array<unsigned char, EVP_MAX_MD_SIZE> digest{};
+        unsigned size = 0;
+        if (EVP_DigestFinal_ex(context_.get(), digest.data(), &size) != 1) throw std::bad_alloc();
+        std::string text;
+        for (const unsigned char byte : std::span(digest).first(size)) {
+            constexpr std::string_view digits = "0123456789abcdef";
+            text += digits[byte >> 4];
+            text += digits[byte & 15];
+        }
+        return text;
+    }
+
+private:
+    struct Free {
+        void operator()(EVP_MD_CTX* context) const { EVP_MD_CTX_free(context); }
+    };
+    std::unique_ptr<EVP_MD_CTX, Free> context_;
+};
 
 }  // namespace
 
@@ -44,25 +78,12 @@ std::string make_job_id() {
     return text.data();
 }
 
-std::string sha256(std::string_view bytes) {
-    std::array<unsigned char, SHA256_DIGEST_LENGTH> digest{};
-    SHA256(reinterpret_cast<const unsigned char*>(bytes.data()), bytes.size(), digest.data());
-    std::string text(2 * digest.size(), '0');
-    for (std::size_t i = 0; i < digest.size(); ++i) {
-        constexpr std::string_view digits = "0123456789abcdef";
-        text[2 * i] = digits[digest[i] >> 4];
-        text[2 * i + 1] = digits[digest[i] & 15];
-    }
-    return text;
-}
+std::string sha256(std::string_view bytes) { return Digest().add(bytes).text(); }
 
 std::string result_key(const std::vector<std::string_view>& parts) {
-    std::string all;
-    for (const std::string_view part : parts) {
-        all += std::to_string(part.size()) + ':';
-        all += part;
-    }
-    return sha256(all);
+    Digest digest;
+    for (const std::string_view part : parts) digest.add(std::to_string(part.size()) + ':').add(part);
+    return digest.text();
 }
 
 }  // namespace brdfit::server

@@ -38,8 +38,9 @@ constexpr int kChannel = 3;    ///< a worker's descriptor
 constexpr int kNiceness = 10;  ///< of those that take batch jobs
 constexpr milliseconds kTend = 1s;
 constexpr milliseconds kPrune = 60s;
-constexpr milliseconds kSilence = 30s;   ///< a worker that does not answer for so long is killed: a lease is as long
-constexpr milliseconds kObedience = 6s;  ///< ... or whose job was cancelled that long ago; it ends itself before
+constexpr milliseconds kSilence = 30s;    ///< a worker that does not answer for so long is killed: a lease is as long
+constexpr milliseconds kStandstill = 3s;  ///< ... or, if it was stopped within a transaction, so that nobody can write
+constexpr milliseconds kObedience = 6s;   ///< ... or whose job was cancelled that long ago; it ends itself before
 constexpr milliseconds kStop = 8s;
 constexpr milliseconds kFirstPause{100};  ///< before a worker is started again; doubled if it was not ready
 constexpr milliseconds kLongestPause = 30s;
@@ -87,6 +88,12 @@ pid_t spawn(const std::vector<std::string>& words, int channel) {
 std::string how_it_ended(int status) {
     if (WIFSIGNALED(status)) return "signal " + std::to_string(WTERMSIG(status));
     return "status " + std::to_string(WEXITSTATUS(status));
+}
+
+/// Whether a signal has stopped it, as SIGSTOP does or a debugger, and it does not go on.
+bool is_stopped(pid_t id) {
+    siginfo_t info{};
+    return ::waitid(P_PID, static_cast<id_t>(id), &info, WSTOPPED | WNOHANG | WNOWAIT) == 0 && info.si_pid == id;
 }
 
 using Answer = std::optional<std::string>;  ///< none: the worker is gone, or could not answer
@@ -284,8 +291,24 @@ struct Supervisor::Impl {
             const auto now = Clock::now();
             kill_if([&](const Worker& worker) { return worker.ready && now - worker.heard > kSilence; },
                     "does not answer");
+            const auto stands_still = [now](const Worker& worker) {
+                return worker.ready && now - worker.heard > kStandstill && is_stopped(worker.id);
+            };
+            if (any(stands_still) && !store_takes())
+                kill_if(stands_still, "stands still and keeps others from writing");
             lock.lock();
         }
+    }
+
+    bool any(const auto& condition) {
+        const std::lock_guard lock(mutex);
+        return std::any_of(workers.begin(), workers.end(), condition);
+    }
+    bool store_takes() try {
+        store.probe();
+        return true;
+    } catch (const StoreError&) {
+        return false;
     }
 
     void kill_if(const auto& condition, const char* why) {
@@ -383,11 +406,12 @@ Supervisor::~Supervisor() { impl_->stop(); }
 
 void Supervisor::start(const std::stop_token& stop) {
     Impl& impl = *impl_;
+    const std::stop_callback stopped(stop, [&impl] { impl.changed.notify_all(); });
+    std::unique_lock lock(impl.mutex);
+    if (impl.stopping) return;  // else stop() finds all threads there: it may come from another thread at any time
     impl.waker = std::jthread([&impl] { impl.wake(); });
     impl.tender = std::jthread([&impl] { impl.tend(); });
     for (Impl::Worker& worker : impl.workers) impl.keepers.emplace_back([&impl, &worker] { impl.keep(worker); });
-    const std::stop_callback stopped(stop, [&impl] { impl.changed.notify_all(); });
-    std::unique_lock lock(impl.mutex);
     while (!stop.stop_requested() && !impl.facts && impl.failure.empty() && impl.ends < kTries)
         impl.changed.wait_for(lock, 50ms);
     if (!impl.failure.empty()) throw std::runtime_error(impl.failure);

@@ -22,19 +22,34 @@ ready() { get /health/ready && [[ $status == 200 ]]; }
 are_gone() { [[ -z $(ps -o pid= -p "${1// /,}") ]]; }
 workers_are() { [[ $(workers | wc -w) == "$1" ]]; }
 
-# ---- a worker is killed in mid-fit ----
-require_server
-check "two workers compute" until_true 60 workers_are 2
-check "the service itself uses no OpenCL" test -z "$(grep -aE 'pocl|libOpenCL.*nvidia' "/proc/$server/maps")"
+# of_owner: the process that computes the job under way.
+of_owner() { sql 'SELECT owner FROM job WHERE state = 1' | xargs -I OWNER pgrep -P "$server" -f 'OWNER'; }
 # Seconds of work.
 awk -F, '/^[0-9]/ { for (c = 0; c < 12; ++c) rows[c] = rows[c] $1 "," $2 "," $4 * (1 + c / 50) ",c" c "\n" }
     END { print "theta_i_deg,theta_r_deg,brdf_per_sr,channel"; for (c = 0; c < 12; ++c) printf "%s", rows[c] }' \
     "$file" >"$work/many.csv"
 long=(effort=thorough "$work/many.csv")
+
+# ---- a worker that stands still in mid-fit: what becomes of it is seen below, half a minute later ----
+require_server
+check "two workers compute" until_true 60 workers_are 2
+fit still 'effort=thorough&models=he_torrance' "$work/many.csv"
+check "a fit is under way" until_true 20 running
+kill -STOP "$(of_owner)"
+still=(url="$url" server="$server" store="$store" log="$log")
+still_fit=${fits[-1]}
+fits=()
+post_csv models=ward "$file"
+answered "a worker stands still: the other fits" 200
+
+# ---- a worker is killed in mid-fit ----
+require_server
+check "two workers compute" until_true 60 workers_are 2
+check "the service itself uses no OpenCL" test -z "$(grep -aE 'pocl|libOpenCL.*nvidia' "/proc/$server/maps")"
 fit long "${long[@]}"
 check "a fit is under way" until_true 20 running
 before=$(workers)
-kill -KILL "$(sql 'SELECT owner FROM job WHERE state = 1' | xargs -I OWNER pgrep -P "$server" -f 'OWNER')"
+kill -KILL "$(of_owner)"
 get /health/live
 answered "a worker is killed: the service lives" 200
 post_csv models=ward "$file" -H "$anew"
@@ -109,30 +124,76 @@ wait_for_end "$stranger" 20
 check_equal "... and heeds SIGTERM" "$status" 0
 kill -CONT "$only"
 
-# ---- a worker that stands still in mid-fit ----
+# ---- a worker that stands still within a transaction ----
 if [[ -n ${BRDFIT_LONG-} ]]; then
-    require_server
-    check "two workers compute" until_true 60 workers_are 2
-    awk -F, '/^[0-9]/ { for (c = 0; c < 200; ++c) rows[c] = rows[c] $1 "," $2 "," $4 * (1 + c / 50) ",c" c "\n" }
-        END { print "theta_i_deg,theta_r_deg,brdf_per_sr,channel"; for (c = 0; c < 200; ++c) printf "%s", rows[c] }' \
-        "$file" >"$work/very_many.csv"
-    fit still effort=thorough "$work/very_many.csv"
+    require_server --workers 1
+    check "a worker computes" until_true 60 workers_are 1
+    only=$(workers)
+    fit held "${long[@]}"
     check "a fit is under way" until_true 20 running
-    kill -STOP "$(sql 'SELECT owner FROM job WHERE state = 1' | xargs -I OWNER pgrep -P "$server" -f 'OWNER')"
+    is_held() { sqlite3 "$store" 'BEGIN IMMEDIATE; ROLLBACK' 2>&1 | grep -q locked; }
+    held=false
+    for ((i = 0; i < 3000 && SECONDS < 200; ++i)); do
+        kill -STOP "$only" || break
+        is_held && held=true && break
+        kill -CONT "$only"
+        sleep "0.00$((RANDOM % 10))"
+    done
+    if $held; then
+        start=$EPOCHREALTIME
+        get /health/live
+        answered "a worker stands still and keeps others from writing: the service lives" 200
+        is_free() { ! is_held; }
+        check "... and takes fits again" until_true 25 is_free
+        check "... within 15 s" awk -v a="$start" -v b="$EPOCHREALTIME" 'BEGIN { exit !(b - a < 15) }'
+        check "... as it is killed" grep -q 'stands still and keeps others from writing: it is killed' "$log"
+    else echo "skipped: no moment within a transaction was met"
+    fi
     wait "${fits[-1]}"
-    check_equal "a worker that stands still loses its fit when the lease ends" "$(cat "$work/still.status")" 200
-    check_equal "... to a second attempt" "$(sql 'SELECT max(attempt) FROM job')" 2
-    check "... and is killed" grep -q 'does not answer: it is killed' "$log"
 fi
 
+# ---- no file descriptors are left ----
+# limit PROCESS...: they have as many as they use.
+limit() { for process; do prlimit --pid "$process" --nofile="$(find "/proc/$process/fd" -mindepth 1 | wc -l):"; done; }
+require_server --workers 1
+only=$(workers)
+limit "$only"
+# Programs that it has not loaded yet.
+for query in 'models=he_torrance&precision=single' 'models=lafortune&loss=l2'; do
+    post_csv "$query" "$file" -H "$anew"
+    answered "a worker without file descriptors: $query" 200
+done
+limit "$server"
+kill -KILL $(workers)
+for path in /health/live /v1/models; do
+    get $path
+    check "a server without file descriptors, whose worker has ended, says so: $path" grep -qE '^(200|503)$' <<<"$status"
+done
+post_csv models=ward "$file" -H 'Prefer: respond-async' -H "$anew"
+check "... takes a fit, or says that it cannot" grep -qE '^(202|503)$' <<<"$status"
+prlimit --pid "$server" --nofile=512:
+check "when it has some again it computes" until_true 60 ready
+post_csv models=ward "$file" -H "$anew"
+answered "... and fits" 200
+
 # ---- killed again and again, workers and servers, under a burst of fits ----
+# take NAME QUERY: posts a fit that nobody waits for; its answer goes to $work/NAME, its status to $work/NAME.status.
+take() {
+    curl -sS -m 60 -o "$work/$1" -w '%{http_code}' -H 'Content-Type: text/csv' -H 'Prefer: respond-async' -H "$anew" \
+        --data-binary "@$file" "$url/v1/fits?$2" >"$work/$1.status" 2>/dev/null &
+    fits+=($!)
+}
 ids=$work/acknowledged
 : >"$ids"
 declare -A sums=()
+taken=()
 RANDOM=1
 for ((cycle = 0; cycle < cycles; ++cycle)); do
     fits=()
-    for i in 1 2 3 4 5 6; do fit "burst.$i" "models=ward,phong&seed=$((cycle * 10 + i))"; done
+    for i in 1 2 3 4 5 6; do
+        fit "burst.$i" "models=ward,phong&seed=$((cycle * 10 + i))"
+        take "later.$i" "models=ward,phong&seed=$((100000 + cycle * 10 + i))"
+    done
     sleep "0.0$((RANDOM % 10))"
     if ((cycle % 4 == 3)); then
         old=$(workers)
@@ -146,6 +207,7 @@ for ((cycle = 0; cycle < cycles; ++cycle)); do
         wait "${fits[@]}"
     fi
     for i in 1 2 3 4 5 6; do
+        [[ $(cat "$work/later.$i.status") != 202 ]] || taken+=("$(jq -r .id "$work/later.$i")")
         [[ $(cat "$work/burst.$i.status") == 200 ]] || continue
         acknowledged=$(jq -r .id "$work/burst.$i")
         echo "$acknowledged" >>"$ids"
@@ -160,10 +222,34 @@ for acknowledged in "${!sums[@]}"; do
     [[ $status == 200 && $(sha256sum <"$work/body") == "${sums[$acknowledged]}" ]] || lost=$((lost + 1))
 done
 check_equal "no acknowledged fit is lost, of ${#sums[@]}" "$lost" 0
+lost=0
+given_up=0
+for id in "${taken[@]}"; do
+    get "/v1/fits/$id"
+    if jq -e '.state == "succeeded"' "$work/body" >/dev/null; then
+        get "/v1/fits/$id/result"
+        [[ $status == 200 && $(jq -r .id "$work/body") == "$id" ]] || lost=$((lost + 1))
+    elif jq -e '.state == "failed" and (.error.type == "/problems/poison-job")' "$work/body" >/dev/null; then given_up=$((given_up + 1))
+    else lost=$((lost + 1))
+    fi
+done
+check "some were taken for later" test ${#taken[@]} -ge $cycles
+check_equal "none of them is lost, of ${#taken[@]}, $given_up of them given up after three attempts" "$lost" 0
+check "at most a tenth of them is given up" test $((10 * given_up)) -le ${#taken[@]}
 check_equal "none ends twice" "$(sql 'SELECT count(*) FROM (SELECT 1 FROM event WHERE kind = 3 GROUP BY job HAVING count(*) > 1)')" 0
 check_equal "what has no result was given up after three attempts" \
     "$(sql 'SELECT count(*) FROM job LEFT JOIN result ON job.id = result.job WHERE body IS NULL AND attempt < 3')" 0
 check "the service is ready again" until_true 60 ready
+
+# ---- what became of the worker that stood still ----
+declare "${still[@]}"
+wait "$still_fit"
+check_equal "a worker that stands still loses its fit when the lease ends" "$(cat "$work/still.status")" 200
+id=$(jq -r .id "$work/still")
+check_equal "... to a second attempt" "$(sql "SELECT attempt FROM job WHERE id = '$id'")" 2
+check_equal "... with one effect" "$(sql "SELECT count(*) FROM event WHERE job = '$id' AND kind = 3")" 1
+check "... and is killed" grep -q 'does not answer: it is killed' "$log"
+check "... and another takes its place" until_true 30 workers_are 2
 
 # ---- a store that cannot be used ----
 unset store_of_all

@@ -189,7 +189,7 @@ def heads():
         refused(f"method {method.decode()}", 501, get(b"/", method=method))
     refused("HTTP/2", 505, get(b"/", version=b"HTTP/2.0"))
     refused("another expectation", 417, post(b"Content-Length: 2", b"Expect: the best"))
-    for target in (b"/v1/../v1/nothing", b"/v1/%2e%2e/etc/passwd", b"//", b"/v1/models/..%2f..%2fetc%2fpasswd"):
+    for target in (b"/v1%2fmodels", b"/v1/models%2Fward", b"/v1/../v1/nothing", b"/v1/%2e%2e/etc/passwd", b"//", b"/v1/models/..%2f..%2fetc%2fpasswd"):
         refused(f"target {target.decode()}", 404, get(target, b"Connection: close"))
     found, _, _ = talk(get(b"http://any.host:8080/health/live", b"Connection: close"))
     check("an absolute target", found and found[0][0] == 200, found)

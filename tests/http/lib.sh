@@ -150,7 +150,7 @@ refused() {
     answered "$1" "$2" || return
     [[ $(header Content-Type) == application/problem+json ]] || { fail "$1" "is $(header Content-Type)"; return; }
     holds "$1" '
-        (.type | startswith("/problems/")) and (.title | length > 0) and .status == $status and (.detail | length > 0)
+        (.type | startswith("/problems/")) and (.title | length > 0) and .status == $status and (.detail | test("^[^:]"))
         and (.instance | type == "string") and .request_id == $id
         and ((.errors // []) | length <= 50 and all(.code and .detail and (.pointer | type == "string")))
         and any(.errors[]?, (if has("errors") then empty else {} end); '"${3-true}"')' \

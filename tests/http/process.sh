@@ -77,16 +77,27 @@ check_equal "SIGINT while a request is fitted" "$status" 0
 wait $slow
 check "that request is answered: with its result, that it goes on later, or that the service stops" grep -qE '^(200|202|503)$' "$work/slow.status"
 
-# A signal that comes as soon as it is waited for, while the kernels are compiled.
-"$BRDFIT" serve --port 0 >"$work/early.log" 2>&1 &
-early=$!
-servers+=("$early")
-for _ in {1..500}; do
-    grep -q '^SigBlk:.*4002$' "/proc/$early/status" && break
-    sleep 0.01
-done
-kill -TERM "$early"
-status=none
-wait_for_end "$early" 60
+# A signal that comes as soon as it is waited for, while the workers' threads are made and the kernels are compiled.
+# terminated_early [option...]: sets status.
+terminated_early() {
+    "$BRDFIT" serve --port 0 "$@" >"$work/early.log" 2>&1 &
+    local early=$!
+    servers+=("$early")
+    for _ in {1..2000}; do
+        grep -q '^SigBlk:.*4002$' "/proc/$early/status" 2>/dev/null && break
+        sleep 0.002
+    done
+    sleep "0.0$((RANDOM % 4))$((RANDOM % 10))"
+    kill -TERM "$early"
+    status=none
+    wait_for_end "$early" 60
+}
+terminated_early
 check_equal "SIGTERM before it listens" "$status" 0
+# With many workers the time in which they are made is long: one of fifteen such ends was a crash.
+for _ in {1..25}; do
+    terminated_early --workers 64
+    [[ $status == 0 ]] || break
+done
+check_equal "SIGTERM while workers are made, again and again" "$status" 0
 finish

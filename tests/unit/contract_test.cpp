@@ -76,12 +76,20 @@ const std::string kDataset = R"({"channels": [{"scans": [{"theta_i_deg": 1, "the
 TEST(PostedFit, IsReadAgainFromItsText) {
     const std::string body = R"({"models": ["ward"], "options": {"seed": 3}, "dataset": )" + kDataset + "}";
     const api::PostedFit posted = api::read_posted_fit(body, catalogue(), {});
-    EXPECT_EQ(api::read_job(posted.text, "", catalogue()), posted.request);
+    EXPECT_EQ(api::read_job(posted.text, "", catalogue()), api::read_fit_request(body, catalogue()));
     EXPECT_FALSE(posted.dataset);
     const api::PostedFit csv = api::read_posted_fit_csv("theta_i_deg,theta_r_deg,brdf_per_sr\n1,2,3\n1,3,3\n1,4,3\n",
                                                         {{"models", "ward"}, {"seed", "3"}}, catalogue());
-    EXPECT_EQ(api::read_job(csv.text, "", catalogue()), csv.request);
-    EXPECT_EQ(csv.request, posted.request);
+    EXPECT_EQ(api::read_job(csv.text, "", catalogue()), api::read_fit_request(body, catalogue()));
+}
+
+TEST(PostedFit, SaysWhichPrecisionItAsksFor) {
+    const std::string body = R"({"options": {"precision": "single"}, "dataset": )" + kDataset + "}";
+    EXPECT_EQ(api::read_posted_fit(body, catalogue(), {}).precision, kernels::Precision::single_precision);
+    const std::string csv = "theta_i_deg,theta_r_deg,brdf_per_sr\n1,2,3\n1,3,3\n1,4,3\n";
+    EXPECT_EQ(api::read_posted_fit_csv(csv, {{"precision", "double"}}, catalogue()).precision,
+              kernels::Precision::double_precision);
+    EXPECT_FALSE(api::read_posted_fit_csv(csv, {}, catalogue()).precision);
 }
 
 TEST(PostedFit, HasOneTextHoweverItIsSpelt) {
@@ -98,8 +106,9 @@ TEST(PostedFit, NamesAStoredDataset) {
     const api::PostedFit posted =
         api::read_posted_fit(R"({"dataset": "known", "models": ["ward"]})", catalogue(), stored);
     EXPECT_EQ(posted.dataset, "known");
-    EXPECT_EQ(posted.request.dataset, api::read_dataset(kDataset));
-    EXPECT_EQ(api::read_job(posted.text, kDataset, catalogue()), posted.request);
+    EXPECT_EQ(api::read_job(posted.text, kDataset, catalogue()),
+              api::read_fit_request(R"({"dataset": "known", "models": ["ward"]})", catalogue(), stored));
+    EXPECT_EQ(api::read_job(posted.text, kDataset, catalogue()).dataset, api::read_dataset(kDataset));
     EXPECT_EQ(errors_of(refusal_of([&] { (void)api::read_posted_fit(R"({"dataset": "x"})", catalogue(), stored); })),
               std::vector<std::string>{"/dataset unknown_dataset"});
 }

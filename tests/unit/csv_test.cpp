@@ -119,6 +119,23 @@ TEST(Csv, RefusesANulByte) {
     EXPECT_NO_THROW((void)read_csv(kHead + ",channel\n1,2,3,a\\b\n"));
 }
 
+TEST(Csv, TellsMistakesInTheirOrder) {
+    expect_refused(kHead + ",channel,wavelength_nm\n1,2,3,a,550\n1,2,3,a,551\n1,2\n1,2,3,a,x\n1,2,3,a,552\n",
+                   {"3:5 contradiction", "4:1 ragged", "5:5 not_a_number", "6:5 contradiction"});
+}
+
+TEST(Csv, RefusesMoreThanMeansSomething) {
+    expect_refused(kHead + "\n" + std::string(1000, ',') + "\n", {"2:1001 too_many"});
+    expect_refused(std::string(1'000'000, ','), {"1:1001 too_many"});
+    expect_refused(kHead + ",channel\n1,2,3,\"" + std::string((1U << 20U) + 1, 'x') + "\"\n", {"2:4 too_long"});
+    std::string text = kHead + "\n";
+    for (int i = 0; i < 1'000'001; ++i) text += "1,2,3\n";
+    expect_refused(text, {"1000002:1 too_many"});
+    text = kHead + ",channel\n";
+    for (int i = 0; i < 1001; ++i) text += "1,2,3," + std::to_string(i) + "\n";
+    expect_refused(text, {"1002:1 too_many"});
+}
+
 TEST(Csv, TellsAtMostFiftyErrors) {
     std::string text = kHead + "\n";
     for (int i = 0; i < 60; ++i) text += "1,2,x\n";

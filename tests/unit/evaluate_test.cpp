@@ -78,6 +78,9 @@ TEST(Evaluate, RefusesMoreRowsThanTheLimit) {
     request["geometry"] = {{"theta_i_deg", std::vector<double>(kMostRows + 1, 10.0)},
                            {"theta_r_deg", std::vector<double>(kMostRows + 1, 10.0)}};
     EXPECT_EQ(errors_of(refusal_of([&] { (void)read(request); })),
+              (std::vector<std::string>{"/geometry/theta_i_deg too_many", "/geometry/theta_r_deg too_many"}));
+    request["geometry"]["theta_i_deg"] = {10.0};
+    EXPECT_EQ(errors_of(refusal_of([&] { (void)read(request); })),
               std::vector<std::string>{"/geometry/theta_r_deg too_many"});
 }
 

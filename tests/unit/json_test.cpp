@@ -83,6 +83,67 @@ TEST(Json, RefusesDeepNesting) {
     expect_refused({"\n" + std::string(1'000'000, '['), 400, pointer + " too_deep", "2:17 too_deep"});
 }
 
+TEST(Json, PassesOverBlanks) {
+    const std::string blanks = " \t\r\n  " + std::string(100, ' ');
+    EXPECT_EQ(parse_json(blanks + "{" + blanks + "\"a  \\\"  b\"" + blanks + ":" + blanks + "[" + blanks + "1" +
+                         blanks + "," + blanks + "\"  \\\\\"" + blanks + "]" + blanks + "}" + blanks),
+              (json{{"a  \"  b", {1, "  \\"}}}));
+    for (const Mistake& mistake : std::vector<Mistake>{
+             {"", 400, " syntax", "1:1 syntax"},
+             {"   ", 400, " syntax", "1:4 syntax"},
+             {"{}  \n  x ", 400, " syntax", "2:3 syntax"},
+             {"[1  \n  2]", 400, "/1 syntax", "2:3 syntax"},
+             {"[1   \n }", 400, "/1 syntax", "2:2 syntax"},
+             {"[  1x  ]", 400, "/1 syntax", "1:5 syntax"},
+             {"[  1.   ]", 400, "/0 syntax", ""},
+             {"{   \"a\"   :  1 ,   \"a\"   : 2}", 400, "/a duplicate_key", "1:20 duplicate_key"},
+             {"{\"a\": 1,   b}", 400, " syntax", "1:12 syntax"},
+         })
+        expect_refused(mistake);
+}
+
+TEST(Json, RefusesStringsAndNumbersBeyondUse) {
+    const std::string most(std::size_t{1} << 20U, '1');
+    expect_refused({"{\"a\": [0, \"" + most + "\"]}", 422, "/a/1 too_long", "1:11 too_long"});
+    expect_refused({"{\"a\": " + most + "1}", 422, "/a too_long", "1:7 too_long"});
+    expect_refused({"{\"a\": {\"" + most + "\": 0}}", 422, "/a too_long", "1:8 too_long"});
+    const std::string good = "\"" + most.substr(10) + "\"";
+    EXPECT_NO_THROW((void)parse_json("[" + good + ", " + good + "]"));
+    expect_refused({"[" + good + "," + good + "," + good + "," + good + "," + good + "]", 422, "/4 too_long", ""});
+}
+
+/// Numbers in plenty, of which the document takes more than a critic lets pass unseen.
+std::string plenty(std::size_t count) {
+    std::string text = "[0";
+    for (std::size_t i = 1; i < count; ++i) text += ",0";
+    return text + "]";
+}
+
+TEST(Json, ShowsALargeDocumentToItsCritic) {
+    int looks = 0;
+    const auto critic = [&](std::vector<FieldError> errors) {
+        return [&looks, errors](const json&) {
+            ++looks;
+            return errors;
+        };
+    };
+    const std::string text = "{\"a\": " + plenty(900'000) + ", \"b\": {\"c\": 1}, \"a\": 1}";  // and a mistake
+    const auto refused = [&](const std::vector<FieldError>& errors) {
+        return errors_of(refusal_of([&] { (void)parse_json(text, critic(errors)); }));
+    };
+    (void)parse_json("[1, 2]", critic({{"/0", "unknown_key", "", {}, {}}}));
+    EXPECT_EQ(looks, 0);  // a small one is read to its end
+    const std::vector<std::string> mistake{"/a duplicate_key"};
+    EXPECT_EQ(refused({}), mistake);
+    EXPECT_EQ(looks, 2);  // at 4 and at 8 MiB
+    // What is wrong for good, and what may come yet.
+    EXPECT_EQ(refused({{"/a", "unknown_key", "", {}, {}}}), std::vector<std::string>{"/a unknown_key"});
+    EXPECT_EQ(refused({{"/a", "wrong_type", "", {}, {}}}), std::vector<std::string>{"/a wrong_type"});
+    EXPECT_EQ(refused({{"/b", "missing", "", {}, {}}, {"/a/3", "out_of_range", "", {}, {}}}), mistake);
+    EXPECT_EQ(refused({{"/b", "missing", "", {}, {}}, {"/a/3/c", "missing", "", {}, {}}}),
+              std::vector<std::string>{"/a/3/c missing"});
+}
+
 TEST(Json, RefusesANulByte) { expect_refused({std::string("{}\n\0{}", 6), 400, " nul_byte", "2:1 nul_byte"}); }
 
 }  // namespace
