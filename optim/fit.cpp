@@ -179,10 +179,15 @@ std::vector<double> incidence_angles(const Channel& channel) {
     return {angles.begin(), angles.end()};
 }
 
+/// Where energy is judged.
+Incidence incidence_of(const Work& work) {
+    return Incidence(incidence_angles(work.channel), work.options.scene.value_or(Scene{}).theta_i_deg);
+}
+
 /// The physics of an optimum.
 void add_physics(const Work& work, bool scale_known, const Optimum& optimum, Fit& fit) {
     Judgement judgement =
-        judge_physics(work.engine, *optimum.model, optimum.parameters, incidence_angles(work.channel), scale_known);
+        judge_physics(work.engine, *optimum.model, optimum.parameters, incidence_of(work), scale_known);
     fit.albedo = std::move(judgement.albedo);
     fit.physics = judgement.physics;
     for (std::string& warning : judgement.warnings) fit.warnings.push_back(std::move(warning));
@@ -514,8 +519,8 @@ void keep_to_requirements(const Work& work, const Variant* smaller, double robus
         const Task& task = variant.task;
         const Task under_loss{task.engine,    task.model,  task.channel, task.directions, loss,
                               task.precision, task.effort, task.control, task.scale};
-        variant.optimum = energy_conserving_optimum(under_loss, variant.prepared.bounds, variant.optimum,
-                                                    incidence_angles(work.channel));
+        variant.optimum =
+            energy_conserving_optimum(under_loss, variant.prepared.bounds, variant.optimum, incidence_of(work));
         order_lobes(work, variant.task.model, variant.optimum);
         describe(work, smaller, robust_scale, variant);
         judge();
@@ -686,11 +691,16 @@ auto attempt(const Work& work, const Job& job) -> Outcome<decltype(job())> {
 void add_costs(kernels::CostBook& costs, const std::vector<ModelRequest>& models, Report& report) {
     std::map<std::string, const kernels::Family*> families;
     for (const ModelRequest& model : models) families[model.family->name] = model.family;
+    std::vector<Fit*> fits;
+    std::vector<const Model*> variants;
     for (ChannelReport& channel : report.channels)
         for (Fit& fit : channel.fits) {
             const kernels::Family& family = *families.at(fit.model);
-            fit.cost = costs.cost(family.variant(std::max<std::size_t>(1, fit.lobes), family.submodel(fit.submodel)));
+            fits.push_back(&fit);
+            variants.push_back(&family.variant(std::max<std::size_t>(1, fit.lobes), family.submodel(fit.submodel)));
         }
+    const std::vector<kernels::Cost> found = costs.costs(variants);
+    for (std::size_t i = 0; i < fits.size(); ++i) fits[i]->cost = found[i];
 }
 
 std::vector<std::string> channel_warnings(const Channel& channel) {
@@ -891,9 +901,7 @@ void Fitter::warm_up(const kernels::Family& family) {
     for (const Model& model : family.variants) warm_up(model);
 }
 
-void Fitter::warm_up(const ModelRequest& request) {
-    if (request.submodel == nullptr) return;  // whole models are warm
-    const kernels::Submodel& submodel = *request.submodel;
+void Fitter::warm_up(const kernels::Submodel& submodel) {
     for (const Model& model : submodel.variants) {
         const std::lock_guard lock(workers_->mutex);
         if (!workers_->warm.insert(model.name + ' ' + std::to_string(model.repeats)).second) continue;
@@ -952,7 +960,8 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
         (void)weigh(channel, options.loss);
         for (const ModelRequest& model : models) (void)samples_needed(model, channel);
     }
-    for (const Form& form : forms) warm_up(form.model);
+    for (const Form& form : forms)
+        if (form.model.submodel != nullptr) warm_up(*form.model.submodel);  // whole models are warm
 
     std::list<Directions> directions;
     std::list<Noise> noises;  // one a channel
@@ -999,7 +1008,14 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
     }
     if (options.judge) {
         add_costs(costs_, models, report);
-        for (ChannelReport& channel : report.channels) judge_scene(options.scene.value_or(Scene{}), channel);
+        const Scene scene = options.scene.value_or(Scene{});
+        for (ChannelReport& channel : report.channels) {
+            judge_scene(scene, channel);
+            // A fit may be far off in decades because nobody has asked it to be near.
+            if (options.loss.kind != Loss::log && !channel.pareto.empty() &&
+                channel.pareto.back().log10_rmse > scene.tolerance_log10)
+                channel.recommended->reason += "; fits under the loss log, which counts decades, may be nearer";
+        }
     }
     if (options.ledger) add_ledger(*this, dataset, models, options, control, report);
     return report;

@@ -53,9 +53,27 @@ TEST(Constrained, PlasticLosesItsSurplusOfEnergy) {
     EXPECT_GT(largest(kept, "lafortune_2"), 0.99);  // the constraint binds
     EXPECT_EQ(kept.constrained->loss_without, free.loss);
     EXPECT_GT(kept.search.evaluations, free.search.evaluations) << "the second search counts";
-    EXPECT_GT(kept.loss, free.loss);
+    // SciPy's SLSQP under a quadrature of its own at 17 angles: the best of 24 ends, which 8 of them share.
+    EXPECT_NEAR(kept.loss, 0.167842, 2e-5);
     std::printf("loss %g, without the requirement %g, %zu of %zu starts agree, %zu evaluations\n", kept.loss, free.loss,
                 kept.search.agreed, kept.search.starts, kept.search.evaluations);
+}
+
+TEST(Constrained, IsAskedOnlyWhereASceneSees) {
+    optim::FitOptions options;
+    options.require = {Requirement::energy_conserving};
+    options.scene.emplace().theta_i_deg = {0, 75};
+    const auto whole = [](const optim::Report& report) {
+        for (const optim::Fit& fit : report.channels.front().fits)
+            if (fit.submodel.empty()) return fit;
+        throw std::runtime_error("no fit of the whole model");
+    };
+    const optim::Fit seen = whole(fitter().fit(sample("white_plastic"), requests({"phong"}), options));
+    EXPECT_EQ(seen.physics->energy_conserving, true);
+    EXPECT_EQ(seen.physics->theta_i_deg, (optim::Interval{0, 75}));
+    EXPECT_GT(largest(seen, "phong"), 1.1) << "beyond what the scene sees nothing is asked";
+    const optim::Fit kept = only(fit(sample("white_plastic"), {"phong"}, {Requirement::energy_conserving}));
+    EXPECT_LT(seen.loss, kept.loss) << "less is asked of it";
 }
 
 TEST(Constrained, EndsAtTheEdgeThatIsKnown) {
