@@ -130,11 +130,13 @@ TEST(Response, TellsPhysicsRequirementsAndCost) {
     const Json json = answer(r)["channels"][0]["fits"][0];
     EXPECT_EQ(json["albedo"], Json::parse(R"([{"theta_i_deg": 15.0, "value": 0.5, "error": 1e-6},
         {"theta_i_deg": 75.0, "value": null, "error": null}])"));
-    EXPECT_EQ(json["physics"], Json::parse(R"({"energy_conserving": false, "theta_i_deg": [0.0, 80.0], "max_albedo": 1.5, "at_theta_i_deg": 75.0,
+    EXPECT_EQ(json["physics"], Json::parse(R"({"energy_conserving": false, "theta_i_deg": [0.0, 80.0],
+        "max_albedo": 1.5, "at_theta_i_deg": 75.0,
         "reciprocal": true, "nonnegative": true})"));
     EXPECT_EQ(json["constrained"], Json::parse(R"({"require": ["energy_conserving", "nonnegative"],
         "loss_without": 0.0625, "loss_ratio": 2.0})"));
-    EXPECT_EQ(json["cost"], Json::parse(R"({"single_ns": null, "double_ns": 2.5, "under_load": false, "operations": {"add": 1.0,
+    EXPECT_EQ(json["cost"],
+              Json::parse(R"({"single_ns": null, "double_ns": 2.5, "under_load": false, "operations": {"add": 1.0,
         "multiply": 2.0, "fma": 3.0, "divide": 4.0, "sqrt": 5.0}})"));
 }
 
