@@ -99,8 +99,10 @@ Json angle_errors() {
 Json cost() {
     return object({
         {"lobes", whole(1, 100), "of a model with lobes", false},
+        {"submodel", text(), "a simpler form with a text of its own", false},
         {"single_ns", kNumberOrNull, "nanoseconds of an evaluation in single precision"},
         {"double_ns", kNumberOrNull, "in double precision"},
+        {"under_load", boolean(), "measured beside other work, and maybe too high: it is measured again"},
         {"operations", map_of(number()), "of an evaluation", false},
     });
 }
@@ -108,7 +110,8 @@ Json cost() {
 Json physics() {
     return object({
         {"energy_conserving", or_null(boolean()), "null where that could not be told"},
-        {"max_albedo", kNumberOrNull, "the largest directional albedo over the incidence angles"},
+        {"theta_i_deg", array(number(), 2, 2), "the incidence angles over which energy is judged, [low, high]"},
+        {"max_albedo", kNumberOrNull, "the largest directional albedo over them"},
         {"at_theta_i_deg", kNumberOrNull},
         {"reciprocal", boolean()},
         {"nonnegative", boolean()},

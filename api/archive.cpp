@@ -206,7 +206,7 @@ optim::Report read_archive(std::string_view bytes) {
 std::string archive(const DeviceFacts& facts) {
     Json costs = Json::array();
     for (const ModelCost& cost : facts.costs)
-        costs.push_back({cost.model, cost.lobes, optional(cost.single_ns), optional(cost.double_ns)});
+        costs.push_back({cost.model, cost.lobes, optional(cost.single_ns), optional(cost.double_ns), cost.under_load});
     Json tests = Json::array();
     for (const kernels::SelfTest& test : facts.self_tests) tests.push_back(test_json(test));
     const kernels::DeviceInfo& device = facts.device;
@@ -237,8 +237,8 @@ DeviceFacts read_device_facts(std::string_view bytes) {
         for (const Json& test : json.at("self_tests")) facts.self_tests.push_back(read_test(test));
         json.at("complete").get_to(facts.complete);
         for (const Json& cost : json.at("costs"))
-            facts.costs.push_back(
-                {cost.at(0), cost.at(1), read_optional<double>(cost.at(2)), read_optional<double>(cost.at(3))});
+            facts.costs.push_back({cost.at(0), cost.at(1), read_optional<double>(cost.at(2)),
+                                   read_optional<double>(cost.at(3)), cost.at(4)});
         facts.single_refusal = read_optional<std::string>(json.at("single_refusal"));
         facts.double_refusal = read_optional<std::string>(json.at("double_refusal"));
         return facts;

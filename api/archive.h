@@ -25,6 +25,7 @@ struct ModelCost {
     std::size_t lobes = 0;  ///< 0 for a model without lobes
     std::optional<double> single_ns{};
     std::optional<double> double_ns{};
+    bool under_load = false;
 };
 
 /// What a worker tells of its device.

@@ -79,6 +79,7 @@ Json albedo_json(const std::vector<optim::DirectionalAlbedo>& albedos) {
 
 Json physics_json(const optim::Physics& physics) {
     return {{"energy_conserving", physics.energy_conserving ? Json(*physics.energy_conserving) : Json(nullptr)},
+            {"theta_i_deg", {physics.theta_i_deg.min, physics.theta_i_deg.max}},
             {"max_albedo", number(physics.max_albedo)},
             {"at_theta_i_deg", number(physics.at_theta_i_deg)},
             {"reciprocal", physics.reciprocal},
@@ -94,7 +95,8 @@ Json constrained_json(const optim::Constrained& constrained, double loss) {
 }
 
 Json cost_json(const kernels::Cost& cost) {
-    Json json{{"single_ns", number(cost.single_ns)}, {"double_ns", number(cost.double_ns)}};
+    Json json{
+        {"single_ns", number(cost.single_ns)}, {"double_ns", number(cost.double_ns)}, {"under_load", cost.under_load}};
     if (const auto& n = cost.operations)
         json["operations"] = {
             {"add", n->add}, {"multiply", n->multiply}, {"fma", n->fma}, {"divide", n->divide}, {"sqrt", n->sqrt}};
@@ -380,9 +382,13 @@ std::string to_json(const kernels::Catalogue& catalogue) {
 std::string to_json(const kernels::Family& family, std::span<const kernels::Cost> costs) {
     Json json = family_json(family);
     if (!costs.empty()) json["costs"] = Json::array();
+    const std::vector<const kernels::Model*> texts = family.texts();
     for (std::size_t i = 0; i < costs.size(); ++i) {
         Json cost = Json::object();
-        if (family.variants[i].repeats > 0) cost["lobes"] = family.variants[i].repeats;
+        if (texts[i]->repeats > 0) cost["lobes"] = texts[i]->repeats;
+        for (const kernels::Submodel& submodel : family.submodels)
+            for (const kernels::Model& model : submodel.variants)
+                if (&model == texts[i]) cost["submodel"] = submodel.name;
         cost.update(cost_json(costs[i]));
         json["costs"].push_back(std::move(cost));
     }
@@ -402,6 +408,8 @@ std::string to_json(const kernels::DeviceInfo& device, std::span<const kernels::
                     {{"candidates", kernels::kLaunches[i]}, {"evaluations_per_s", number(rate.evaluations_per_s[i])}});
             models.push_back({{"model", kernels::variant_name(rate.model, rate.lobes)},
                               {"launches", launches},
+                              {"value_ns", number(rate.cost.ns)},
+                              {"under_load", rate.cost.under_load},
                               {"exps", number(rate.exps)},
                               {"fraction_of_exps", number(1 / rate.exps)}});
         }

@@ -28,7 +28,7 @@ nlohmann::ordered_json fit_links(const std::string& id);
 /// The ranked fits of a job (WIRE: the answer of POST /v1/fits). Numbers are finite; what is not known is null.
 std::string to_json(const optim::Report& report, const std::string& id);
 
-/// All models, or one (GET /v1/models, /v1/models/{name}), with the costs of its variants where they are given.
+/// All models, or one (GET /v1/models, /v1/models/{name}), with the costs of its first texts where they are given.
 std::string to_json(const kernels::Catalogue& catalogue);
 std::string to_json(const kernels::Family& family, std::span<const kernels::Cost> costs = {});
 

@@ -67,12 +67,13 @@ std::string table(std::span<const kernels::Throughput> throughputs) {
             name_of(api::kPrecisions, throughput.precision), 1e-6 * throughput.exps_per_s, kernels::kLaunchSamples);
         text += fmt::format("  {:<14}", "candidates");
         for (const std::size_t candidates : kernels::kLaunches) text += fmt::format(" {:>9}", candidates);
-        text += fmt::format(" {:>9} {:>9}\n", "of exps", "in exps");
+        text += fmt::format(" {:>9} {:>9} {:>9}\n", "of exps", "in exps", "value, ns");
         for (const kernels::ModelRate& rate : throughput.models) {
             text += fmt::format("  {:<14}", kernels::variant_name(rate.model, rate.lobes));
             for (const double evaluations : rate.evaluations_per_s)
                 text += fmt::format(" {:>9.2f}", 1e-6 * evaluations);
-            text += fmt::format(" {:>7.1f} % {:>9.1f}\n", 100 / rate.exps, rate.exps);
+            text += fmt::format(" {:>7.1f} % {:>9.1f} {:>9.2f}{}\n", 100 / rate.exps, rate.exps, rate.cost.ns,
+                                rate.cost.under_load ? ", under load" : "");
         }
     }
     return text;

@@ -86,7 +86,30 @@ INLINED Geometry geometry_of(real si, real ci, real x, real y, real z, real from
     return g;
 }
 
-/* The same at r of a ray; left = end - r. */
+/* The same as a renderer forms it, from products of the vectors: digits that cancel are in no picture. */
+INLINED Geometry plain_geometry_of(real si, real ci, real x, real y, real z) {
+    Geometry g;
+    g.ci = ci;
+    g.cr = z;
+    g.cs = ci + z;
+    g.ti = si / ci;
+    g.tr = sqrt(sqr(x) + sqr(y)) / z;
+    g.w = sqr(x - si) + sqr(y);
+    g.hxy = -si * x;
+    g.hxy_low = 0.0;
+    g.hz = ci * z;
+    g.hz_low = 0.0;
+    const real cosine = g.hz - g.hxy;
+    const mask visible = cosine > TINY;
+    g.log_cos_alpha = sel(visible, log_plain(sel(visible, cosine, 1.0)), -1e30);
+    g.tan2 = g.w / sqr(g.cs);
+    g.cd2 = 0.5 + 0.5 * (g.hz + g.hxy);
+    g.sd2 = 0.5 - 0.5 * (g.hz + g.hxy);
+    g.G = sqr(4.0 * g.cd2 / g.cs);
+    return g;
+}
+
+/* That of geometry_of at r of a ray; left = end - r. */
 INLINED Geometry geometry_at(Cell cell, Ray ray, real r, real left) {
     const real along = cell.q * r * ray.cosine;
     const real z = sqrt(fmax(ray.A * (ray.rim - ray.end + left) * (r + ray.behind), (real)(TINY)));
@@ -216,7 +239,7 @@ kernel void value(global const scalar *columns, int samples, int candidates, glo
             const real y = load_lanes(columns + 3 * samples + first);
             const real z = load_lanes(columns + 4 * samples + first);
             Terms terms;
-            brdf(p, geometry_of(si, ci, x, y, z, x - si, z - ci), &terms);
+            brdf(p, plain_geometry_of(si, ci, x, y, z), &terms);
             sum += combined((const real *)&terms, row);
         }
     }

@@ -112,6 +112,8 @@ std::vector<Throughput> measure_throughput(Engine& engine, std::span<const Famil
         for (const Family& family : families)
             for (const Model& model : family.variants) {
                 ModelRate rate = rate_of(engine, model, precision, each);
+                CostMeter meter(engine, model, precision);
+                rate.cost = measure(engine, {&meter, 1}).front();
                 rate.exps = throughput.exps_per_s /
                             *std::max_element(rate.evaluations_per_s.begin(), rate.evaluations_per_s.end());
                 throughput.models.push_back(std::move(rate));

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "kernels/cost.h"
 #include "kernels/engine.h"
 #include "kernels/geometry.h"
 #include "kernels/model.h"
@@ -33,6 +34,7 @@ struct ModelRate {
     std::vector<double>
         evaluations_per_s;  ///< of kLaunches: a candidate at a sample, with gradient, transfers included
     double exps = 0;        ///< exponentials that take as long as an evaluation in the fastest launch
+    MeasuredCost cost{};    ///< measured anew; what kernels::Cost says of it
 };
 
 struct Throughput {

@@ -76,9 +76,9 @@ public:
             values.push_back(std::min(albedo.value, 1e6));  // a number, whatever saturates
         return values;
     }
-    LargestAlbedo largest(std::span<const double> u, std::span<const double> theta_i_deg) {
+    LargestAlbedo largest(std::span<const double> u, const Incidence& incidence) {
         double scale = 1;
-        return largest_albedo(hemisphere_, parameters(u, scale), theta_i_deg);
+        return largest_albedo(hemisphere_, parameters(u, scale), incidence);
     }
 
 private:
@@ -231,8 +231,9 @@ std::vector<std::vector<double>> screened(Problem& problem, const Task& task, st
 }
 
 /// At most so many of the angles where the albedo is above 1: the highest, and others evenly.
-std::vector<double> first_angles(Problem& problem, std::span<const double> u, const LargestAlbedo& largest) {
-    const auto grid = albedo_grid_deg();
+std::vector<double> first_angles(Problem& problem, std::span<const double> u, const Incidence& incidence,
+                                 const LargestAlbedo& largest) {
+    const std::vector<double>& grid = incidence.grid_deg;
     const std::vector<double> albedos = problem.albedos(u, grid);
     std::vector<double> above;
     for (std::size_t i = 0; i < grid.size(); ++i)
@@ -246,12 +247,12 @@ std::vector<double> first_angles(Problem& problem, std::span<const double> u, co
 }  // namespace
 
 Optimum energy_conserving_optimum(const Task& task, const std::vector<Interval>& bounds, const Optimum& found,
-                                  std::span<const double> theta_i_deg) {
+                                  const Incidence& incidence) {
     Problem problem(task, bounds);
     if (problem.space().dimension() == 0) throw SearchError("every parameter is fixed, and energy is not conserved");
     const std::vector<double> from = problem.space().coordinates(found.parameters, found.scale);
-    LargestAlbedo largest = problem.largest(from, theta_i_deg);
-    std::vector<double> angles = first_angles(problem, from, largest);
+    LargestAlbedo largest = problem.largest(from, incidence);
+    std::vector<double> angles = first_angles(problem, from, incidence, largest);
     std::vector<std::vector<double>> starts{from};
     if (std::isfinite(largest.albedo.value))
         starts.push_back(problem.space().coordinates(
@@ -281,7 +282,7 @@ Optimum energy_conserving_optimum(const Task& task, const std::vector<Interval>&
                 static_cast<std::size_t>(std::count_if(values.begin(), values.end(), [&](double value) {
                     return std::sqrt(value) <= std::sqrt(optimum.relative_loss2) * (1 + kAgrees) + 1e-12;
                 }));
-        largest = problem.largest(best_u, theta_i_deg);
+        largest = problem.largest(best_u, incidence);
         if (largest.albedo.value + largest.albedo.error <= 1 + kAlbedoTolerance / 2) {
             optimum.parameters = problem.parameters(best_u, optimum.scale);
             optimum.record.evaluations += problem.loss().evaluations();

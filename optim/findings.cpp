@@ -47,10 +47,15 @@ std::vector<double> incidence_angles(const Channel& channel) {
     return {angles.begin(), angles.end()};
 }
 
+/// Where energy is judged.
+Incidence incidence_of(const Work& work) {
+    return Incidence(incidence_angles(work.channel), work.options.scene.value_or(Scene{}).theta_i_deg);
+}
+
 /// The physics of an optimum.
 void add_physics(const Work& work, bool scale_known, const Optimum& optimum, Fit& fit) {
     Judgement judgement =
-        judge_physics(work.engine, *optimum.model, optimum.parameters, incidence_angles(work.channel), scale_known);
+        judge_physics(work.engine, *optimum.model, optimum.parameters, incidence_of(work), scale_known);
     fit.albedo = std::move(judgement.albedo);
     fit.physics = judgement.physics;
     for (std::string& warning : judgement.warnings) fit.warnings.push_back(std::move(warning));
@@ -288,8 +293,8 @@ void keep_to_requirements(const Work& work, const Variant* smaller, double robus
         const Task& task = variant.task;
         const Task under_loss{task.engine,    task.model,  task.channel, task.directions, loss,
                               task.precision, task.effort, task.control, task.scale};
-        variant.optimum = energy_conserving_optimum(under_loss, variant.prepared.bounds, variant.optimum,
-                                                    incidence_angles(work.channel));
+        variant.optimum =
+            energy_conserving_optimum(under_loss, variant.prepared.bounds, variant.optimum, incidence_of(work));
         order_lobes(work, variant.task.model, variant.optimum);
         describe(work, smaller, robust_scale, variant);
         judge();

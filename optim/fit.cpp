@@ -150,11 +150,16 @@ auto attempt(const Work& work, const Job& job) -> Outcome<decltype(job())> {
 void add_costs(kernels::CostBook& costs, const std::vector<ModelRequest>& models, Report& report) {
     std::map<std::string, const kernels::Family*> families;
     for (const ModelRequest& model : models) families[model.family->name] = model.family;
+    std::vector<Fit*> fits;
+    std::vector<const Model*> variants;
     for (ChannelReport& channel : report.channels)
         for (Fit& fit : channel.fits) {
             const kernels::Family& family = *families.at(fit.model);
-            fit.cost = costs.cost(family.variant(std::max<std::size_t>(1, fit.lobes), family.submodel(fit.submodel)));
+            fits.push_back(&fit);
+            variants.push_back(&family.variant(std::max<std::size_t>(1, fit.lobes), family.submodel(fit.submodel)));
         }
+    const std::vector<kernels::Cost> found = costs.costs(variants);
+    for (std::size_t i = 0; i < fits.size(); ++i) fits[i]->cost = found[i];
 }
 
 std::vector<std::string> channel_warnings(const Channel& channel) {
@@ -306,9 +311,7 @@ void Fitter::warm_up(const kernels::Family& family) {
     for (const Model& model : family.variants) warm_up(model);
 }
 
-void Fitter::warm_up(const ModelRequest& request) {
-    if (request.submodel == nullptr) return;  // whole models are warm
-    const kernels::Submodel& submodel = *request.submodel;
+void Fitter::warm_up(const kernels::Submodel& submodel) {
     for (const Model& model : submodel.variants) {
         const std::lock_guard lock(workers_->mutex);
         if (!workers_->warm.insert(model.name + ' ' + std::to_string(model.repeats)).second) continue;
@@ -367,7 +370,8 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
         (void)weigh(channel, options.loss);
         for (const ModelRequest& model : models) (void)samples_needed(model, channel);
     }
-    for (const Form& form : forms) warm_up(form.model);
+    for (const Form& form : forms)
+        if (form.model.submodel != nullptr) warm_up(*form.model.submodel);  // whole models are warm
 
     std::list<Directions> directions;
     std::list<Noise> noises;  // one a channel
@@ -413,7 +417,14 @@ Report Fitter::fit(const Dataset& dataset, const std::vector<ModelRequest>& mode
     }
     if (options.judge) {
         add_costs(costs_, models, report);
-        for (ChannelReport& channel : report.channels) judge_scene(options.scene.value_or(Scene{}), channel);
+        const Scene scene = options.scene.value_or(Scene{});
+        for (ChannelReport& channel : report.channels) {
+            judge_scene(scene, channel);
+            // A fit may be far off in decades because nobody has asked it to be near.
+            if (options.loss.kind != Loss::log && !channel.pareto.empty() &&
+                channel.pareto.back().log10_rmse > scene.tolerance_log10)
+                channel.recommended->reason += "; fits under the loss log, which counts decades, may be nearer";
+        }
     }
     if (options.ledger) add_ledger(*this, dataset, models, options, control, report);
     return report;

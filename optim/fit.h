@@ -27,6 +27,9 @@ public:
     /// Builds the programs of all variants of a model and runs each kernel once, so that no fit waits for a compiler.
     /// Throws kernels::PrecisionError, kernels::BuildError, kernels::DeviceError.
     void warm_up(const kernels::Family& family);
+    /// Does so for a submodel with a text of its own, once; a fit tells what does not build. Throws
+    /// kernels::PrecisionError, kernels::DeviceError.
+    void warm_up(const kernels::Submodel& submodel);
 
     /// Fits every model to every channel. A model that fails is in the report's failures. `progress`: gets a task for
     /// each before the first begins; may be nullptr. Throws std::invalid_argument (see weigh), InvalidBounds and
@@ -39,8 +42,6 @@ public:
 
 private:
     void warm_up(const kernels::Model& model);
-    /// Does so for a submodel with a text of its own, once.
-    void warm_up(const ModelRequest& request);
 
     struct Workers;
     kernels::Engine& engine_;

@@ -2,6 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 #include <set>
 
 #include <fmt/format.h>
@@ -55,12 +56,8 @@ std::vector<double> told(std::span<const double> theta_i_deg) {
     return some;
 }
 
-std::vector<double> with_grid(const std::vector<double>& theta_i_deg) {
-    const auto grid = albedo_grid_deg();
-    std::set<double> all(theta_i_deg.begin(), theta_i_deg.end());
-    all.insert(grid.begin(), grid.end());
-    return {all.begin(), all.end()};
-}
+/// Angles from 0 to kSteepestIncidence_deg between which an albedo has no hidden peak.
+constexpr double kGrid_deg[] = {0, 15, 30, 45, 55, 63, 70, 76, 80, 83, 85.5, 87.5, kSteepestIncidence_deg};
 
 }  // namespace
 
@@ -68,9 +65,20 @@ kernels::Precision albedo_precision(const kernels::Engine& engine, const kernels
     return model.sums_series() ? engine.quickest_precision() : engine.best_precision();
 }
 
-std::span<const double> albedo_grid_deg() {
-    static constexpr double kGrid[] = {0, 15, 30, 45, 55, 63, 70, 76, 80, 83, 85.5, 87.5, kSteepestIncidence_deg};
-    return kGrid;
+Incidence::Incidence(std::span<const double> data_deg, Interval seen) : range{seen.min, kSteepestIncidence_deg} {
+    std::vector<double> within;
+    std::copy_if(data_deg.begin(), data_deg.end(), std::back_inserter(within),
+                 [&](double angle) { return seen.holds(angle); });
+    of_data = within.size();
+    told_deg = told(within);
+    if (!within.empty()) range.max = std::max(range.max, within.back());
+    range.max = std::max(range.min, std::min(range.max, seen.max));
+    std::set<double> grid{range.min, range.max};
+    for (const double angle : kGrid_deg)
+        if (range.holds(angle)) grid.insert(angle);
+    grid_deg.assign(grid.begin(), grid.end());
+    grid.insert(told_deg.begin(), told_deg.end());
+    whole_deg.assign(grid.begin(), grid.end());
 }
 
 LargestAlbedo largest_albedo(Hemisphere& hemisphere, std::span<const double> parameters,
@@ -113,9 +121,8 @@ LargestAlbedo largest_albedo(Hemisphere& hemisphere, std::span<const double> par
     return {known[at], theta_i_deg[at]};
 }
 
-LargestAlbedo largest_albedo(Hemisphere& hemisphere, std::span<const double> parameters,
-                             std::span<const double> theta_i_deg) {
-    const std::vector<double> angles = with_grid(told(theta_i_deg));
+LargestAlbedo largest_albedo(Hemisphere& hemisphere, std::span<const double> parameters, const Incidence& incidence) {
+    const std::vector<double>& angles = incidence.whole_deg;
     return largest_albedo(hemisphere, parameters, angles, hemisphere.albedo(parameters, angles, kAsked));
 }
 
@@ -135,17 +142,18 @@ PairVerdict judge_pairs(kernels::Engine& engine, const kernels::Model& model, st
 }
 
 Judgement judge_physics(kernels::Engine& engine, const kernels::Model& model, std::span<const double> parameters,
-                        std::span<const double> theta_i_deg, bool scale_known) {
+                        const Incidence& incidence, bool scale_known) {
     Judgement judgement;
+    judgement.physics.theta_i_deg = incidence.range;
     const PairVerdict pairs = judge_pairs(engine, model, parameters);
     judgement.physics.reciprocal = pairs.reciprocal;
     judgement.physics.nonnegative = pairs.nonnegative;
 
-    const std::vector<double> asked = told(theta_i_deg);
-    if (asked.size() < theta_i_deg.size())
+    const std::vector<double>& asked = incidence.told_deg;
+    if (asked.size() < incidence.of_data)
         judgement.warnings.push_back(
-            fmt::format("albedos are told at {} of the data's {} incidence angles", asked.size(), theta_i_deg.size()));
-    const std::vector<double> angles = with_grid(asked);
+            fmt::format("albedos are told at {} of the data's {} incidence angles", asked.size(), incidence.of_data));
+    const std::vector<double>& angles = incidence.whole_deg;
     Hemisphere hemisphere(engine, model, albedo_precision(engine, model));
     const std::vector<Albedo> albedos = hemisphere.albedo(parameters, angles, kAsked);
     bool whole = true;

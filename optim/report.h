@@ -12,6 +12,7 @@
 #include "kernels/cost.h"
 #include "kernels/engine.h"
 #include "optim/dataset.h"
+#include "optim/interval.h"
 #include "optim/loss.h"
 #include "optim/scene.h"
 
@@ -150,8 +151,10 @@ struct DirectionalAlbedo {
 /// What nature allows, and whether a fitted model keeps to it.
 struct Physics {
     std::optional<bool> energy_conserving{};  ///< no albedo above 1; none where that could not be told
-    /// The largest albedo over the incidence angles from 0 to 89 degrees (further where the data go further), and
-    /// where it is; none where it could not be computed within its tolerance.
+    /// The incidence angles over which energy is judged: from 0 to 89 degrees (further where the data go further), of
+    /// those what a scene sees.
+    Interval theta_i_deg{0, 89};
+    /// The largest albedo over them, and where it is; none where it could not be computed within its tolerance.
     std::optional<double> max_albedo{};
     std::optional<double> at_theta_i_deg{};
     bool reciprocal = true;   ///< f(u, v) = f(v, u), as measured over a set of directions

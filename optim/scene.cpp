@@ -2,7 +2,7 @@
 
 #include <algorithm>
 #include <cmath>
-#include <numeric>
+#include <limits>
 #include <tuple>
 
 #include <fmt/format.h>
@@ -42,20 +42,32 @@ std::vector<ParetoPoint> by_cost(const std::vector<Fit>& fits) {
     return points;
 }
 
-std::string none_good_enough(const Scene& scene, const std::vector<Fit>& fits, const std::vector<ParetoPoint>& front) {
-    if (front.empty()) return "no model here could be judged: no fit has a cost and an error in decades";
-    const ParetoPoint& best = front.back();
-    if (best.log10_rmse > scene.tolerance_log10)
-        return fmt::format(
-            "no model here is good enough: the best, {}, is off by {:.2g} decades, and {:g} are tolerated",
-            name_of(fits[best.fit]), best.log10_rmse, scene.tolerance_log10);
-    const auto cheapest = std::find_if(front.begin(), front.end(), [&](const ParetoPoint& point) {
-        return point.log10_rmse <= scene.tolerance_log10;
-    });
-    return fmt::format(
-        "no model here is cheap enough: {} is within {:g} decades, but takes {:.3g} ns an evaluation, "
-        "and {:g} can be paid",
-        name_of(fits[cheapest->fit]), scene.tolerance_log10, cheapest->ns_per_evaluation, *scene.max_ns_per_evaluation);
+using Place = std::vector<ParetoPoint>::const_iterator;
+
+std::string none_good_enough(const Scene& scene, const std::vector<Fit>& fits, const std::vector<ParetoPoint>& points,
+                             Place cheapest) {
+    if (points.empty()) return "no model here could be judged: no fit has a cost and an error in decades";
+    const auto nearest = [&](double most_ns) {
+        const ParetoPoint* best = nullptr;
+        for (const ParetoPoint& point : points)
+            if (point.ns_per_evaluation <= most_ns && (best == nullptr || point.log10_rmse < best->log10_rmse))
+                best = &point;
+        return best;
+    };
+    if (cheapest != points.end()) {
+        const double most_ns = *scene.max_ns_per_evaluation;
+        const std::string reason = fmt::format(
+            "no model here is cheap enough: {} is the cheapest within {:g} decades, but takes {:.3g} ns an evaluation, "
+            "and {:g} can be paid",
+            name_of(fits[cheapest->fit]), scene.tolerance_log10, cheapest->ns_per_evaluation, most_ns);
+        const ParetoPoint* const affordable = nearest(most_ns);
+        if (affordable == nullptr) return reason;
+        return reason + fmt::format("; the best for that, {}, is off by {:.2g} decades", name_of(fits[affordable->fit]),
+                                    affordable->log10_rmse);
+    }
+    const ParetoPoint* const best = nearest(std::numeric_limits<double>::infinity());
+    return fmt::format("no model here is good enough: the best, {}, is off by {:.2g} decades, and {:g} are tolerated",
+                       name_of(fits[best->fit]), best->log10_rmse, scene.tolerance_log10);
 }
 
 }  // namespace
@@ -73,22 +85,29 @@ Channel seen_by(const Scene& scene, Channel channel) {
 }
 
 void judge_scene(const Scene& scene, ChannelReport& report) {
-    for (const ParetoPoint& point : by_cost(report.fits))
+    const std::vector<ParetoPoint> points = by_cost(report.fits);
+    for (const ParetoPoint& point : points)
         if (report.pareto.empty() || point.log10_rmse < report.pareto.back().log10_rmse * (1 - kLower))
             report.pareto.push_back(point);
-    const auto good_enough = [&](const ParetoPoint& point) { return point.log10_rmse <= scene.tolerance_log10; };
-    const auto cheapest = std::find_if(report.pareto.begin(), report.pareto.end(), good_enough);
+    // Of all, not of the front: one that is hardly better than a cheaper one may yet be the first within the tolerance.
+    const auto cheapest = std::find_if(points.begin(), points.end(), [&](const ParetoPoint& point) {
+        return point.log10_rmse <= scene.tolerance_log10;
+    });
     Recommendation& recommended = report.recommended.emplace();
     const double most = scene.max_ns_per_evaluation.value_or(std::numeric_limits<double>::infinity());
-    if (cheapest == report.pareto.end() || cheapest->ns_per_evaluation > most) {
-        recommended.reason = none_good_enough(scene, report.fits, report.pareto);
+    if (cheapest == points.end() || cheapest->ns_per_evaluation > most) {
+        recommended.reason = none_good_enough(scene, report.fits, points, cheapest);
         return;
     }
     recommended.fit = cheapest->fit;
     recommended.reason = fmt::format("{} is the cheapest model here within {:g} decades: {:.2g} decades at {:.3g} ns",
                                      name_of(report.fits[cheapest->fit]), scene.tolerance_log10, cheapest->log10_rmse,
                                      cheapest->ns_per_evaluation);
-    if (const auto next = std::next(cheapest); next != report.pareto.end()) {
+    const auto next = std::find_if(report.pareto.begin(), report.pareto.end(), [&](const ParetoPoint& point) {
+        return point.ns_per_evaluation >= cheapest->ns_per_evaluation &&
+               point.log10_rmse < cheapest->log10_rmse * (1 - kLower);
+    });
+    if (next != report.pareto.end()) {
         recommended.next_better = *next;
         recommended.reason += fmt::format("; the next better one, {}, is off by {:.2g} decades at {:.3g} ns",
                                           name_of(report.fits[next->fit]), next->log10_rmse, next->ns_per_evaluation);

@@ -6,6 +6,8 @@
 #include <map>
 #include <numbers>
 
+#include <fmt/format.h>
+
 namespace brdfit::optim {
 namespace {
 
@@ -17,8 +19,9 @@ struct Errors {
     void add(double f, double y) {
         sum2 += (f - y) * (f - y);
         ++count;
-        if (f > 0 && y > 0) {
-            const double decades = std::log10(f / y);
+        if (y > 0) {
+            // As the loss log has it: a model that is 0 where the surface is not is off by hundreds of decades.
+            const double decades = std::log10(std::max(f, std::numeric_limits<double>::min())) - std::log10(y);
             log_sum2 += decades * decades;
             ++log_count;
         }
@@ -74,6 +77,14 @@ void describe_errors(const Channel& channel, Fit& fit) {
     const Errors all = errors_of(channel, fit.values, fit.scans);
     fit.rmse = all.rmse();
     fit.log10_rmse = all.log10_rmse();
+    const auto dark = std::count_if(channel.samples.begin(), channel.samples.end(), [&](const Sample& sample) {
+        return sample.weight == 1 && sample.brdf > 0 &&
+               !(fit.values[static_cast<std::size_t>(&sample - channel.samples.data())] > 0);
+    });
+    if (dark > 0)
+        fit.warnings.push_back(
+            fmt::format("the model is 0 or less at {} of {} samples that are not: in decades it is nowhere near", dark,
+                        channel.samples.size()));
 }
 
 HeldOut held_out_errors(const Channel& channel, const Weighted& weighted, std::span<const double> predicted) {

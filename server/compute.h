@@ -25,7 +25,7 @@ public:
     [[nodiscard]] virtual kernels::DeviceInfo device() const = 0;
     /// What the self-tests found; waits for those that still run.
     [[nodiscard]] virtual std::vector<kernels::SelfTest> self_tests() const = 0;
-    /// What an evaluation of each variant of the model costs; empty until that is measured.
+    /// What an evaluation of each text of the model costs (Family::texts), as far as that is measured.
     [[nodiscard]] virtual std::vector<kernels::Cost> costs(const kernels::Family& family) const = 0;
     /// Whether some precision may be used.
     [[nodiscard]] virtual bool usable() const = 0;

@@ -437,10 +437,10 @@ std::vector<kernels::Cost> Supervisor::costs(const kernels::Family& family) cons
     const std::lock_guard lock(impl_->mutex);
     std::vector<kernels::Cost> costs;
     if (!impl_->facts) return costs;
-    for (const kernels::Model& model : family.variants)
+    for (const kernels::Model* model : family.texts())
         for (const api::ModelCost& cost : impl_->facts->costs)
-            if (cost.model == model.name && cost.lobes == model.repeats)
-                costs.push_back({cost.single_ns, cost.double_ns, kernels::operation_counts(model)});
+            if (cost.model == model->name && cost.lobes == model->repeats)
+                costs.push_back({cost.single_ns, cost.double_ns, kernels::operation_counts(*model), cost.under_load});
     return costs;
 }
 

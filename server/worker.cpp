@@ -43,13 +43,15 @@ using Clock = std::chrono::steady_clock;
 using std::chrono::milliseconds;
 
 constexpr milliseconds kLease = 30s;
-constexpr milliseconds kBeat = 250ms;    ///< between heartbeats, each with progress
-constexpr milliseconds kSoonest = 50ms;  ///< ... when woken
-constexpr milliseconds kPoll = 1000ms;   ///< for jobs that nobody told of
-constexpr milliseconds kObedience = 5s;  ///< a job that goes on so long after its stop ends the process
-constexpr milliseconds kOverdue = 60s;   ///< ... or so long after its time limit
-constexpr milliseconds kLastWork = 4s;   ///< for interactive jobs when the worker stops
-constexpr milliseconds kReturn = 3s;     ///< for searches to heed a stop
+constexpr milliseconds kBeat = 250ms;         ///< between heartbeats, each with progress
+constexpr milliseconds kSoonest = 50ms;       ///< ... when woken
+constexpr milliseconds kPoll = 1000ms;        ///< for jobs that nobody told of
+constexpr milliseconds kObedience = 5s;       ///< a job that goes on so long after its stop ends the process
+constexpr milliseconds kOverdue = 60s;        ///< ... or so long after its time limit
+constexpr milliseconds kLastWork = 4s;        ///< for interactive jobs when the worker stops
+constexpr milliseconds kReturn = 3s;          ///< for searches to heed a stop
+constexpr milliseconds kSettling = 5s;        ///< between measurements of costs on a loaded machine, at first ...
+constexpr milliseconds kSettlingMost = 600s;  ///< ... and at most
 
 void log(const kernels::SelfTest& test) {
     if (test.passed()) return;
@@ -99,20 +101,47 @@ private:
     std::vector<kernels::SelfTest> found_;
 };
 
-/// Costs of every model, from the cache or measured, before a fit asks for them; none where that fails.
-std::vector<api::ModelCost> measured_costs(optim::Fitter& fitter, const kernels::Catalogue& catalogue,
-                                           const std::stop_token& stop) try {
+/// Costs of every model, from the cache or measured; with those of simpler forms where `all`.
+std::vector<api::ModelCost> costs_of(optim::Fitter& fitter, const kernels::Catalogue& catalogue, bool all) {
+    std::vector<const kernels::Model*> models;
+    for (const kernels::Family& family : catalogue.families()) {
+        const auto texts = family.texts();
+        models.insert(models.end(), texts.begin(),
+                      all ? texts.end() : texts.begin() + static_cast<std::ptrdiff_t>(family.variants.size()));
+    }
+    const std::vector<kernels::Cost> found = fitter.costs().costs(models);
     std::vector<api::ModelCost> costs;
-    for (const kernels::Family& family : catalogue.families())
-        for (const kernels::Model& model : family.variants) {
-            if (stop.stop_requested()) return {};
-            const kernels::Cost cost = fitter.costs().cost(model);
-            costs.push_back({family.name, model.repeats, cost.single_ns, cost.double_ns});
-        }
+    for (std::size_t i = 0; i < models.size(); ++i)
+        costs.push_back(
+            {models[i]->name, models[i]->repeats, found[i].single_ns, found[i].double_ns, found[i].under_load});
     return costs;
+}
+
+/// What a fit with a scene would wait for: costs of every model, and the programs of simpler forms. Costs that were
+/// measured beside other work are measured again while `idle`, at ever longer intervals. Calls `tell` when costs are
+/// known, of whole models first, and whenever they change.
+template <class Idle, class Tell>
+void prepare_scenes(optim::Fitter& fitter, const kernels::Catalogue& catalogue, const std::stop_token& stop, Idle idle,
+                    Tell tell) try {
+    tell(false);
+    for (const kernels::Family& family : catalogue.families())
+        for (const kernels::Submodel& submodel : family.submodels) {
+            if (stop.stop_requested()) return;
+            fitter.warm_up(submodel);
+        }
+    tell(true);
+    std::mutex mutex;
+    std::unique_lock lock(mutex);
+    std::condition_variable_any stopped;
+    for (auto pause = kSettling; !stopped.wait_for(lock, stop, pause, [&] { return stop.stop_requested(); });) {
+        if (!idle()) continue;
+        const bool settled = fitter.costs().settle();
+        tell(true);
+        if (settled) return;
+        pause = std::min(2 * pause, kSettlingMost);
+    }
 } catch (const std::exception& error) {
     spdlog::error("costs were not measured: {}", error.what());
-    return {};
 }
 
 std::string problem_json(const api::Problem& problem, const std::string& id) {
@@ -133,6 +162,10 @@ public:
 
     /// Returns when it has stopped.
     void run(const std::stop_token& stop);
+    [[nodiscard]] bool idle() {
+        const std::lock_guard lock(mutex_);
+        return running_.empty();
+    }
     /// From any thread.
     void wake();
     void answer_ping() {
@@ -534,8 +567,10 @@ void work(const WorkerOptions& options) {
             const std::jthread others([&] {
                 tester.prove_others();
                 tell_facts(tester);
-                if (!engine.usable()) return;
-                tell_facts(tester, measured_costs(fitter, catalogue, stop.get_token()));
+                if (engine.usable())
+                    prepare_scenes(
+                        fitter, catalogue, stop.get_token(), [&] { return worker.idle(); },
+                        [&](bool all) { tell_facts(tester, costs_of(fitter, catalogue, all)); });
             });
             worker.run(stop.get_token());
             engine.stop_building();

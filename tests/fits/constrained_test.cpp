@@ -53,9 +53,30 @@ TEST(Constrained, PlasticLosesItsSurplusOfEnergy) {
     EXPECT_GT(largest(kept, "lafortune_2"), 0.99);  // the constraint binds
     EXPECT_EQ(kept.constrained->loss_without, free.loss);
     EXPECT_GT(kept.search.evaluations, free.search.evaluations) << "the second search counts";
-    EXPECT_GT(kept.loss, free.loss);
+    // SciPy's SLSQP under a quadrature of its own at 17 angles: the best of 24 ends, which 8 of them share.
+    EXPECT_NEAR(kept.loss, 0.167842, 2e-5);
     std::printf("loss %g, without the requirement %g, %zu of %zu starts agree, %zu evaluations\n", kept.loss, free.loss,
                 kept.search.agreed, kept.search.starts, kept.search.evaluations);
+}
+
+TEST(Constrained, IsAskedOnlyWhereASceneSees) {
+    // Phong's lobe, divided by cos theta_i, sends back too much near the horizon alone.
+    const std::vector<kernels::Direction> directions = scan_directions({10, 30, 60}, 5);
+    const optim::Channel channel = make_channel(
+        directions,
+        kernels::evaluate(engine(), variant("phong"), engine().best_precision(), {0.3, 0.6, 50}, directions, false).f);
+    optim::FitOptions options;
+    options.require = {Requirement::energy_conserving};
+    const optim::Fit kept = only(fitter().fit(dataset_of(channel), requests({"phong"}), options));
+    options.scene.emplace().theta_i_deg = {0, 60};
+    const optim::Report report = fitter().fit(dataset_of(channel), requests({"phong"}), options);
+    const optim::Fit& seen = report.channels.front().fits.front();
+    EXPECT_EQ(seen.physics->energy_conserving, true);
+    EXPECT_EQ(seen.physics->theta_i_deg, (optim::Interval{0, 60}));
+    EXPECT_LT(seen.relative_loss, 1e-6);
+    EXPECT_GT(largest(seen, "phong"), 1.1) << "beyond what the scene sees nothing is asked";
+    EXPECT_LE(largest(kept, "phong"), 1 + optim::kAlbedoTolerance);
+    EXPECT_GT(kept.relative_loss, 1e-3);
 }
 
 TEST(Constrained, EndsAtTheEdgeThatIsKnown) {

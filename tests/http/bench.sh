@@ -14,12 +14,13 @@ for devices in basic pthread; do
     holds "every precision" '[.precisions[].precision] == $expected' --argjson expected "$precisions"
     holds "every model" 'all(.precisions[]; [.models[].model] | sort == $expected)' --argjson expected "$every_model"
     holds "positive rates" 'all(.precisions[]; .exps_per_s > 0 and all(.models[]; .fraction_of_exps > 0 and .exps > 0
+        and .value_ns > 0 and (.under_load | type == "boolean")
         and (.launches | length == 5 and all(.evaluations_per_s > 0))))'
 done
 export POCL_DEVICES=basic
 "$BRDFIT" bench device --seconds 0.01 >"$work/table"
 check_equal "bench device" $? 0
-check "a line a model" grep -qE '^ +he_torrance( +[0-9.]+){5} +[0-9.]+ % +[0-9.]+$' "$work/table"
+check "a line a model" grep -qE '^ +he_torrance( +[0-9.]+){5} +[0-9.]+ % +[0-9.]+ +[0-9.]+(, under load)?$' "$work/table"
 "$BRDFIT" bench device --device no-such-device >"$work/table" 2>&1
 check_equal "bench device on a device that there is not" $? 1
 

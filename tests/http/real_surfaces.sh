@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Measured surfaces, where they lie beside the repository: every model comes back for every channel.
+# Measured surfaces, where they lie beside the repository: every model comes back for every channel, and what is
+# recommended for a scene is right.
 . "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 folder=$repository/../shared/data/real
 if ! compgen -G "$folder/*.csv" >/dev/null; then
@@ -20,4 +21,13 @@ for file in "$folder"/*.csv; do
         'all(.channels[]; [.fits[] | {(.model): .loss}] | add | .phong <= .lambert and .ward <= .lambert)'
     holds "$name: the best leaves less than half of the signal" 'all(.channels[]; .fits[0].relative_loss < 0.5)'
 done
+# What is recommended for scenes, by models, errors and albedos of another make; Debian's python has SciPy.
+if ! /usr/bin/python3 -c 'import scipy' 2>/dev/null; then
+    echo "scenes of real surfaces: no python3-scipy, skipped"
+    finish
+fi
+/usr/bin/python3 "$(dirname "${BASH_SOURCE[0]}")/scenes.py" "$url" "$folder"/*.csv >"$work/scenes" 2>&1
+check_equal "scenes of real surfaces" "$?" 0
+[[ ${BRDFIT_LONG-} != 1 ]] && grep -q 'NOT SO\|Error' "$work/scenes" && cat "$work/scenes"
+tail -n 1 "$work/scenes"
 finish

@@ -2,8 +2,9 @@
 # What a scene asks for, and what is recommended for it.
 . "$(dirname "${BASH_SOURCE[0]}")/lib.sh"
 require_server
-measured() { get /v1/models/he_torrance && jq -e '.costs | length == 1' "$work/body"; }
-check "costs are measured" until_true 120 measured
+measured() { get /v1/models/he_torrance && jq -e '.costs | length == 2' "$work/body"; }
+check "costs are measured, of simpler forms, too" until_true 120 measured
+holds "the simpler form is named" '.costs[1].submodel == "no effective roughness" and all(.costs[]; .under_load | type == "boolean")'
 
 # Ward's surface without a diffuse term, with a little noise, and a lobe that points back to where the light comes from.
 surface=$(jq -nc '
@@ -39,6 +40,8 @@ answered "plots of it" 200
 fits '.scene = {tolerance_log10: 0.02, max_ns_per_evaluation: 1e-3}'
 holds "none is cheap enough" '.channels[0].recommended | .model == null and (.reason | contains("cheap enough"))'
 fits '.scene = {theta_i_deg: [20, 45], theta_r_deg: [0, 50]} | .models = ["ward"]'
+holds "energy is judged where the scene sees" 'all(.channels[].fits[]; .physics.theta_i_deg == [20, 45]
+    and .physics.at_theta_i_deg >= 20 and .physics.at_theta_i_deg <= 45 and ([.albedo[].theta_i_deg] == [25, 40]))'
 holds "only what the scene sees is fitted" '.channels[0] | .samples == 42 and ([.fits[0].scans[].theta_i_deg] == [25, 40])'
 fits '.scene = {theta_i_deg: [20, 45], theta_r_deg: [0, 50], outside_weight: 0.1} | .models = ["ward"]'
 holds "or the rest weighs less, and is in no error" '.channels[0] | .samples == 140 and ([.fits[0].scans[].theta_i_deg] == [25, 40])'

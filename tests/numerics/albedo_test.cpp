@@ -169,9 +169,9 @@ TEST(Albedo, OfRandomModelsAgreesWithAFinerOne) {
 
 TEST(Physics, OfThePapersPlasticIsViolatedAt75Degrees) {
     const std::vector<double> angles{15, 30, 45, 60, 75};
-    const auto judgement =
-        optim::judge_physics(engine(), variant("lafortune_2"),
-                             std::vector<double>{0.542, -1.22, -0.142, 21.4, -1.04, 0.893, 21.1}, angles, true);
+    const auto judgement = optim::judge_physics(engine(), variant("lafortune_2"),
+                                                std::vector<double>{0.542, -1.22, -0.142, 21.4, -1.04, 0.893, 21.1},
+                                                optim::Incidence(angles), true);
     ASSERT_EQ(judgement.albedo.size(), 5U);
     EXPECT_NEAR(judgement.albedo[4].value.value(), 1.31, 0.005);
     EXPECT_LT(judgement.albedo[3].value.value(), 1);
@@ -181,10 +181,30 @@ TEST(Physics, OfThePapersPlasticIsViolatedAt75Degrees) {
     EXPECT_TRUE(judgement.physics.nonnegative);
 }
 
+TEST(Physics, JudgesEnergyWhereASceneSees) {
+    const std::vector<double> angles{15, 30, 45, 60, 75};
+    const auto seen = [&](double low, double high) {
+        return optim::judge_physics(engine(), variant("lafortune_2"),
+                                    std::vector<double>{0.542, -1.22, -0.142, 21.4, -1.04, 0.893, 21.1},
+                                    optim::Incidence(angles, {low, high}), true);
+    };
+    const auto shallow = seen(20, 62);
+    EXPECT_EQ(shallow.physics.energy_conserving, true);
+    EXPECT_EQ(shallow.physics.theta_i_deg, (optim::Interval{20, 62}));
+    EXPECT_EQ(shallow.physics.at_theta_i_deg, 62) << "it rises all the way";
+    ASSERT_EQ(shallow.albedo.size(), 3U) << "those of the data that are seen";
+    EXPECT_EQ(shallow.albedo.front().theta_i_deg, 30);
+    const auto steep = seen(0, 76);
+    EXPECT_EQ(steep.physics.energy_conserving, false);
+    EXPECT_EQ(steep.physics.at_theta_i_deg, 76);
+    EXPECT_EQ(seen(75, 75).physics.max_albedo, seen(75, 75).albedo.front().value) << "a single angle";
+    EXPECT_EQ(seen(0, 90).physics.theta_i_deg, (optim::Interval{0, optim::kSteepestIncidence_deg}));
+}
+
 TEST(Physics, FindsTheLargestAlbedoBetweenTheAngles) {
     const kernels::Model& model = variant("he_torrance");
     const std::vector<double> p{0.932, 12.69, 1.5, 0, 0.534};
-    const auto judgement = optim::judge_physics(engine(), model, p, std::vector<double>{30}, true);
+    const auto judgement = optim::judge_physics(engine(), model, p, optim::Incidence(std::vector<double>{30}), true);
     std::vector<double> all;
     for (double angle = 0; angle <= 89; angle += 0.25) all.push_back(angle);
     kernels::Hemisphere hemisphere(engine(), model, engine().best_precision());
@@ -199,7 +219,7 @@ TEST(Physics, FindsTheLargestAlbedoBetweenTheAngles) {
 TEST(Physics, TellsReciprocityByMeasuringIt) {
     const std::vector<double> angles{45};
     const auto reciprocal = [&](const std::string& model, std::vector<double> p) {
-        return optim::judge_physics(engine(), variant(model), p, angles, true).physics.reciprocal;
+        return optim::judge_physics(engine(), variant(model), p, optim::Incidence(angles), true).physics.reciprocal;
     };
     EXPECT_FALSE(reciprocal("phong", {0.2, 0.5, 20}));
     EXPECT_FALSE(reciprocal("phong", {0.2, 0.01, 1e5}));
@@ -211,10 +231,11 @@ TEST(Physics, TellsReciprocityByMeasuringIt) {
 
 TEST(Physics, SaysNothingOfEnergyWithoutAScaleOrWhereNumbersEnd) {
     const std::vector<double> angles{0, 45};
-    const auto scaleless = optim::judge_physics(engine(), variant("lambert"), std::vector<double>{3}, angles, false);
+    const auto scaleless =
+        optim::judge_physics(engine(), variant("lambert"), std::vector<double>{3}, optim::Incidence(angles), false);
     EXPECT_EQ(scaleless.physics.energy_conserving, std::nullopt);
-    const auto endless =
-        optim::judge_physics(engine(), variant("lafortune_1"), std::vector<double>{0, -3, 3, 1e4}, angles, true);
+    const auto endless = optim::judge_physics(engine(), variant("lafortune_1"), std::vector<double>{0, -3, 3, 1e4},
+                                              optim::Incidence(angles), true);
     EXPECT_EQ(endless.physics.max_albedo, std::nullopt);
     EXPECT_EQ(endless.physics.energy_conserving, false);  // it is far above 1, that much is known
     EXPECT_EQ(endless.albedo.front().value, std::nullopt);

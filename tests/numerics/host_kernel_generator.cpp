@@ -85,7 +85,7 @@ double counted_value(std::span<const double> parameters, std::span<const double>
     const real si = given(vectors[0]), ci = given(vectors[1]);
     const real x = given(vectors[2]), y = given(vectors[3]), z = given(vectors[4]);
     Terms terms;
-    brdf(p, geometry_of(si, ci, x, y, z, x - si, z - ci), &terms);
+    brdf(p, plain_geometry_of(si, ci, x, y, z), &terms);
     const real f = combined((const real *)&terms, c);
     tape.count(f.place, counts);
     return f.value;

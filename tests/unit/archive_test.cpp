@@ -102,7 +102,7 @@ TEST(Archive, DeviceFactsComeBack) {
     facts.self_tests = {{kernels::Precision::single_precision, kernels::SelfTestForm::brief, {test}}};
     facts.complete = true;
     facts.single_refusal = "it failed";
-    facts.costs = {{"ward", 0, {}, 1.5}};
+    facts.costs = {{"ward", 0, {}, 1.5, true}};
     const DeviceFacts read = read_device_facts(archive(facts));
     EXPECT_EQ(read.device, facts.device);
     EXPECT_TRUE(read.complete);
@@ -117,6 +117,7 @@ TEST(Archive, DeviceFactsComeBack) {
     EXPECT_EQ(read.costs[0].model, "ward");
     EXPECT_FALSE(read.costs[0].single_ns);
     EXPECT_EQ(read.costs[0].double_ns, 1.5);
+    EXPECT_TRUE(read.costs[0].under_load);
     EXPECT_EQ(archive(read), archive(facts));
 }
 

@@ -123,18 +123,20 @@ TEST(Response, TellsPhysicsRequirementsAndCost) {
     optim::Report r = report();
     optim::Fit& fit = r.channels[0].fits[0];
     fit.albedo = {{15, 0.5, 1e-6}, {75, {}, kInfinity}};
-    fit.physics = optim::Physics{false, 1.5, 75, true, true};
+    fit.physics = optim::Physics{false, {0, 80}, 1.5, 75, true, true};
     fit.constrained =
         optim::Constrained{{optim::Requirement::energy_conserving, optim::Requirement::nonnegative}, 0.0625};
     fit.cost = kernels::Cost{{}, 2.5, kernels::OperationCounts{"x", 1, 2, 3, 4, 5}};
     const Json json = answer(r)["channels"][0]["fits"][0];
     EXPECT_EQ(json["albedo"], Json::parse(R"([{"theta_i_deg": 15.0, "value": 0.5, "error": 1e-6},
         {"theta_i_deg": 75.0, "value": null, "error": null}])"));
-    EXPECT_EQ(json["physics"], Json::parse(R"({"energy_conserving": false, "max_albedo": 1.5, "at_theta_i_deg": 75.0,
+    EXPECT_EQ(json["physics"], Json::parse(R"({"energy_conserving": false, "theta_i_deg": [0.0, 80.0],
+        "max_albedo": 1.5, "at_theta_i_deg": 75.0,
         "reciprocal": true, "nonnegative": true})"));
     EXPECT_EQ(json["constrained"], Json::parse(R"({"require": ["energy_conserving", "nonnegative"],
         "loss_without": 0.0625, "loss_ratio": 2.0})"));
-    EXPECT_EQ(json["cost"], Json::parse(R"({"single_ns": null, "double_ns": 2.5, "operations": {"add": 1.0,
+    EXPECT_EQ(json["cost"],
+              Json::parse(R"({"single_ns": null, "double_ns": 2.5, "under_load": false, "operations": {"add": 1.0,
         "multiply": 2.0, "fma": 3.0, "divide": 4.0, "sqrt": 5.0}})"));
 }
 

@@ -106,7 +106,8 @@ TEST(Recommendation, IsNoneIfTheCheapestGoodOneCostsTooMuch) {
     const ChannelReport report = judged(scene, {fit("he_torrance", 80, 0.01), fit("ward", 4, 0.1)});
     EXPECT_FALSE(report.recommended->fit);
     EXPECT_THAT(report.recommended->reason,
-                AllOf(HasSubstr("cheap enough"), HasSubstr("he_torrance"), HasSubstr("80 ns"), HasSubstr("5 can")));
+                AllOf(HasSubstr("cheap enough"), HasSubstr("he_torrance"), HasSubstr("80 ns"), HasSubstr("5 can"),
+                      HasSubstr("ward, is off by 0.1 decades")));
     scene.max_ns_per_evaluation = 80;
     EXPECT_EQ(judged(scene, {fit("he_torrance", 80, 0.01)}).recommended->fit, 0U) << "the limit is within";
 }
@@ -118,6 +119,13 @@ TEST(Recommendation, IsTheSimplerOfTwoThatCostTheSame) {
     EXPECT_EQ(report.recommended->fit, 1U);
     EXPECT_THAT(report.recommended->reason, HasSubstr("ward, no diffuse term"));
     EXPECT_EQ(report.recommended->next_better->fit, 0U);
+}
+
+TEST(Recommendation, MayBeHardlyBetterThanACheaperOneThatIsNotGoodEnough) {
+    const ChannelReport report = judged(tolerating(0.05), {fit("ward", 4, 0.049999), fit("phong", 3, 0.050001)});
+    EXPECT_EQ(report.recommended->fit, 0U);
+    EXPECT_THAT(front(report), testing::ElementsAre("phong"));
+    EXPECT_THAT(report.recommended->reason, HasSubstr("none here is better"));
 }
 
 TEST(Recommendation, NeedsACostAndAnError) {

@@ -49,6 +49,17 @@ TEST(Errors, ByHand) {
     EXPECT_NEAR(fit.scans[0].log10_rmse.value(), std::sqrt(0.5), 1e-14);
     EXPECT_NEAR(fit.scans[1].rmse, std::sqrt(2.0), 1e-14);
     EXPECT_NEAR(fit.scans[1].log10_rmse.value(), 0, 1e-14);
+    EXPECT_TRUE(fit.warnings.empty());
+}
+
+TEST(Errors, AModelThatIsZeroWhereTheSurfaceIsNotIsFarOffInDecades) {
+    Fit fit;
+    fit.values = {1, 2, 0, 1};
+    describe_errors(four_samples(), fit);
+    EXPECT_GT(fit.log10_rmse.value(), 100);
+    EXPECT_TRUE(std::isfinite(*fit.log10_rmse));
+    ASSERT_EQ(fit.warnings.size(), 1U);
+    EXPECT_NE(fit.warnings[0].find("at 1 of 4 samples"), std::string::npos);
 }
 
 TEST(Errors, OfHeldOutValuesAreMeasuredByTheLoss) {
