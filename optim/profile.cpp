@@ -103,7 +103,10 @@ private:
             if (!std::isfinite(face.held(i)) || (state[at(i)] != 1 && low_(i) == high_(i))) return;
         }
         face.base = h_ * face.held;
-        if (!free.empty()) face.inverse(free, free) = MatrixXd(h_(free, free)).inverse();
+        const MatrixXd inverse = MatrixXd(h_(free, free)).inverse();
+        for (std::size_t i = 0; i < free.size(); ++i)
+            for (std::size_t j = 0; j < free.size(); ++j)
+                face.inverse(free[i], free[j]) = inverse(static_cast<Index>(i), static_cast<Index>(j));
         faces_.push_back(std::move(face));
     }
 
