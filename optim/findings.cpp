@@ -190,8 +190,9 @@ void add_parameters(const Work& work, Variant& variant) {
                 bound_remark(declared, bounds[i], value, work.request.bounds.count(declared.name) > 0, units[i]));
         fit.parameters.push_back(std::move(parameter));
     }
-    const Estimate estimate{variant.task,       work.options.loss, bounds, variant.optimum, at_bound, variant.sigma,
-                            work.noise.degrees, variant.scale_free};
+    const Estimate estimate{variant.task,    work.options.loss,  bounds,
+                            variant.optimum, at_bound,           variant.sigma,
+                            work.noise,      variant.scale_free, work.options.profiled.value_or(work.options.judge)};
     Uncertainty uncertainty = uncertainty_of(estimate, *variant.refitter, units);
     std::vector<std::array<double, 2>> resampled;
     if (work.options.judge && work.options.effort == Effort::thorough && !variant.sigma.empty())

@@ -99,6 +99,10 @@ struct Sizes {
     double floor = 0;
     double relative = 0;
     double foreign = 0;  ///< part of the differences that are no noise
+    /// As Noise has them.
+    double floor_variance = 0;
+    double relative_variance = 0;
+    double covariance = 0;
 };
 
 /// Maximum likelihood under a mixture: Gaussian noise, and among it differences of any size (Cauchy's density) where
@@ -115,6 +119,7 @@ Sizes sizes_of(const std::vector<Window>& windows, double least) {
     constexpr double kLeast = kRounding * kRounding;
     Sizes at{0, std::max(*middle / kMedian, kLeast), 0.1};
     at.floor = at.relative * least * least / 100;
+    double ff = 0, fr = 0, rr = 0;  // information on both, of their logarithms
     for (int round = 0; round < kRounds; ++round) {
         double aa = 0, aq = 0, qq = 0, ar = 0, qr = 0, noise = 0;
         for (const Window& w : windows) {
@@ -142,14 +147,34 @@ Sizes sizes_of(const std::vector<Window>& windows, double least) {
         else if (!(at.relative > 0)) at.relative = 0, at.floor = aa > 0 ? ar / aa : 0;
         at.relative = std::max(at.relative, kLeast);
         at.floor = std::max(at.floor, 1e-4 * at.relative * least * least);
+        ff = aa * at.floor * at.floor;
+        fr = aq * at.floor * at.relative;
+        rr = qq * at.relative * at.relative;
         at.foreign = std::clamp(1 - noise / static_cast<double>(windows.size()), 1e-3, 0.5);
         const auto still = [](double a, double b) { return std::abs(a - b) <= 1e-4 * a; };
         if (still(at.floor, before.floor) && still(at.relative, before.relative)) break;
+    }
+    // What is hardly there is known to be so: then the other is alone.
+    constexpr double kAlone = 1e-6;
+    const double determinant = ff * rr - fr * fr;
+    if (determinant > kAlone * ff * rr && ff > kAlone * rr && rr > kAlone * ff) {
+        at.floor_variance = 2 * kOverlap * rr / determinant;
+        at.relative_variance = 2 * kOverlap * ff / determinant;
+        at.covariance = -2 * kOverlap * fr / determinant;
+    } else {
+        at.floor_variance = at.relative_variance = at.covariance = 2 * kOverlap / std::max({ff, rr, 1e-300});
     }
     return at;
 }
 
 }  // namespace
+
+double Noise::degrees_of(double floor_part) const {
+    const double rest = 1 - floor_part;
+    const double variance =
+        floor_part * floor_part * floor_variance + 2 * floor_part * rest * covariance + rest * rest * relative_variance;
+    return variance > 0 ? std::clamp(2 / variance, 2.0, std::max(degrees, 2.0)) : degrees;
+}
 
 Noise noise_of(const Channel& channel) {
     Noise noise;
@@ -180,6 +205,9 @@ Noise noise_of(const Channel& channel) {
     const double floor = std::max(std::sqrt(sizes.floor), cut ? std::min(least, *noise.record.relative) : 0.0);
     noise.record.floor = floor * unit;
     noise.degrees = static_cast<double>(windows.size()) * (1 - sizes.foreign) / kOverlap;
+    noise.floor_variance = sizes.floor_variance;
+    noise.relative_variance = sizes.relative_variance;
+    noise.covariance = sizes.covariance;
     noise.record.relative_error = std::sqrt(1 / (2 * noise.degrees));
     for (const Sample& sample : samples)
         noise.sigma.push_back(std::hypot(*noise.record.floor, *noise.record.relative * sample.brdf));

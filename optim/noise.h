@@ -14,6 +14,13 @@ struct Noise {
     NoiseRecord record;
     std::vector<double> sigma;  ///< one a sample, > 0, in the data's unit; empty where only residuals can tell
     double degrees = 0;         ///< of freedom of the estimate; infinite if sigma was given
+    /// Relative variances of the estimates of floor^2 and relative^2, and their covariance.
+    double floor_variance = 0;
+    double relative_variance = 0;
+    double covariance = 0;
+
+    /// Of freedom of a variance of which that part is the floor's.
+    [[nodiscard]] double degrees_of(double floor_part) const;
 };
 
 /// What the channel's sigma say, if every sample has one; else what fourth divided differences along its scans do,

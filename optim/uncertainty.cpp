@@ -9,6 +9,8 @@
 #include <boost/math/distributions/normal.hpp>  // quantiles
 #include <boost/math/distributions/students_t.hpp>
 
+#include "optim/coordinate.h"
+#include "optim/profile.h"
 #include "optim/statistics.h"
 
 namespace brdfit::optim {
@@ -25,38 +27,6 @@ constexpr double kUnseen = 1e-12;
 constexpr double kUndetermined = 1e-11;
 
 std::size_t at(Index i) { return static_cast<std::size_t>(i); }
-
-/// The scale on which an estimate is most nearly normal.
-enum class Own {
-    linear,
-    logarithm,
-    square,  ///< of a parameter that the model is even in: at 0 it has no slope
-};
-
-/// One unknown on its own scale, z.
-struct Coordinate {
-    std::optional<std::size_t> parameter;  ///< none: the scale of relative data
-    Own own;
-    double p;  ///< its value
-
-    [[nodiscard]] double z(double value) const {
-        return own == Own::logarithm ? std::log(value) : own == Own::square ? value * value : value;
-    }
-    [[nodiscard]] double value(double z) const {
-        return own == Own::logarithm ? std::exp(z) : own == Own::square ? std::sqrt(std::max(z, 0.0)) : z;
-    }
-    /// d value/d z at a value.
-    [[nodiscard]] double slope(double value) const {
-        return own == Own::logarithm ? value : own == Own::square ? 0.5 / value : 1.0;
-    }
-    /// What counts as a large step of z.
-    [[nodiscard]] double size(const kernels::Model& model) const {
-        if (own == Own::logarithm) return 1;
-        const kernels::Parameter& declared = model.parameters[*parameter];
-        const double least = 1e-2 * std::min(declared.max - declared.min, 1.0);
-        return std::max(std::abs(z(p)), z(least));
-    }
-};
 
 class Sandwich {
 public:
@@ -86,7 +56,6 @@ public:
                 if (c.parameter) result.parameters[*c.parameter].undetermined = true;
             return result;
         }
-        const double t = quantile();
         for (Index i = 0; i < count(); ++i) {
             const Coordinate& c = coordinates_[at(i)];
             if (!c.parameter) continue;
@@ -97,19 +66,60 @@ public:
             if (p.undetermined) continue;
             p.std_error = std_error;
             const Interval& bounds = estimate_.bounds[*c.parameter];
+            const double t = quantile(degrees_of(i));
             const double low = c.value(c.z(c.p) - t * error);
             const double high = c.value(c.z(c.p) + t * error);
             if (std::isfinite(low) && std::isfinite(high))
                 p.interval_95 = {std::clamp(low, bounds.min, c.p), std::clamp(high, c.p, bounds.max)};
         }
         for (std::size_t i = 0; i < model.parameters.size(); ++i)
-            if (estimate_.at_bound[i]) result.parameters[i].interval_95 = one_sided(coordinate_of(i), t);
+            if (estimate_.at_bound[i])
+                result.parameters[i].interval_95 = one_sided(coordinate_of(i), quantile(degrees_of_all()));
+        if (estimate_.profiled) profile(result);
         correlations(result);
         remarks(result, units);
         return result;
     }
 
 private:
+    /// Replaces intervals by those of profiles.
+    void profile(Uncertainty& result) {
+        const kernels::Model& model = estimate_.task.model;
+        std::vector<Coordinate> unknowns;
+        std::vector<Interval> bounds;
+        std::vector<Index> known;  // of coordinates_, or -1
+        const auto add = [&](const Coordinate& c, Index i) {
+            unknowns.push_back(c);
+            known.push_back(i);
+            bounds.push_back(c.parameter ? estimate_.bounds[*c.parameter]
+                                         : Interval{estimate_.task.scale.min, estimate_.task.scale.max});
+        };
+        for (Index i = 0; i < count(); ++i) add(coordinates_[at(i)], i);
+        for (std::size_t i = 0; i < model.parameters.size(); ++i)
+            if (estimate_.at_bound[i] && !estimate_.bounds[i].fixed() && sees(coordinate_of(i)))
+                add(coordinate_of(i), -1);
+        const auto m = static_cast<Index>(unknowns.size());
+        MatrixXd misfit = MatrixXd::Zero(m, m);
+        if (misfit_.size() > 0 && misfit_.allFinite()) misfit.topLeftCorner(count(), count()) = misfit_;
+        VectorXd spreads(n_);
+        for (Index j = 0; j < n_; ++j) {
+            const double pull = estimate_.task.weighted.weight[at(j)] * residuals_.by_f[at(j)];
+            spreads(j) = pull > 0 ? std::abs(spreads_(j)) / pull : 0.0;
+        }
+        std::vector<double> degrees;
+        for (const Index i : known) degrees.push_back(i < 0 ? degrees_of_all() : degrees_of(i));
+        const Minimised minimised{estimate_.task, estimate_.point, unknowns, bounds, spreads, misfit, degrees};
+        const auto intervals = profile_intervals(minimised, refitter_);
+        for (std::size_t i = 0; i < unknowns.size(); ++i)
+            if (unknowns[i].parameter && intervals[i])
+                result.parameters[*unknowns[i].parameter].interval_95 = intervals[i];
+        for (std::size_t i = 0; i < model.parameters.size(); ++i) {  // whatever the data do not see may be anything
+            ParameterUncertainty& parameter = result.parameters[i];
+            if (parameter.undetermined && !parameter.interval_95)
+                parameter.interval_95 = {estimate_.bounds[i].min, estimate_.bounds[i].max};
+        }
+    }
+
     [[nodiscard]] Index count() const { return static_cast<Index>(coordinates_.size()); }
 
     [[nodiscard]] Coordinate coordinate_of(std::size_t i) const {
@@ -226,10 +236,15 @@ private:
         const Eigen::SelfAdjointEigenSolver<MatrixXd> bend(MatrixXd::Identity(white.size(), white.size()) +
                                                            misfit_curvature(directions, errors, white));
         constexpr double kLeast = 0.05;  // less is a kink, or no minimum
-        const VectorXd inverse = bend.eigenvalues().cwiseMax(kLeast).cwiseInverse();
+        const VectorXd bent = bend.eigenvalues().cwiseMax(kLeast);
+        const VectorXd inverse = bent.cwiseInverse();
         const MatrixXd h_inverse = white.asDiagonal() * bend.eigenvectors() * inverse.asDiagonal() *
                                    bend.eigenvectors().transpose() * white.asDiagonal();
         cov_ = directions * h_inverse * b * h_inverse * directions.transpose();
+        influences_ = scaled * h_inverse * directions.transpose();
+        const MatrixXd back = unit_.cwiseInverse().asDiagonal() * v * lambda.cwiseSqrt().asDiagonal();
+        const VectorXd more = bent.array() - 1;
+        misfit_ = back * bend.eigenvectors() * more.asDiagonal() * bend.eigenvectors().transpose() * back.transpose();
         slopes_ = std::move(slopes);
         a_inverse_ = unit_.asDiagonal() * a_inverse * unit_.asDiagonal();
     }
@@ -248,7 +263,7 @@ private:
             noise += expected;
             squares += 2 * expected * expected;
         }
-        const double size = noise * std::sqrt(2 / estimate_.degrees);  // what is not known of sigma^2
+        const double size = noise * std::sqrt(2 / estimate_.noise.degrees);  // what is not known of sigma^2
         return std::clamp((residuals_.loss2 - noise) / std::hypot(std::sqrt(squares), size) - 2, 0.0, 1.0);
     }
 
@@ -322,10 +337,27 @@ private:
         return there;
     }
 
-    [[nodiscard]] double quantile() const {
-        const double degrees = estimate_.sigma.empty() ? static_cast<double>(estimate_.task.weighted.used) -
-                                                             static_cast<double>(coordinates_.size())
-                                                       : estimate_.degrees;
+    /// Degrees of freedom of the noise, taken as a whole.
+    [[nodiscard]] double degrees_of_all() const {
+        if (!estimate_.sigma.empty()) return estimate_.noise.degrees;
+        return static_cast<double>(estimate_.task.weighted.used) - static_cast<double>(coordinates_.size());
+    }
+    /// The same as an unknown sees it.
+    [[nodiscard]] double degrees_of(Index i) const {
+        if (estimate_.sigma.empty() || !estimate_.noise.record.floor || influences_.size() == 0)
+            return degrees_of_all();
+        const double floor = *estimate_.noise.record.floor;
+        double part = 0;
+        double whole = 0;
+        for (Index j = 0; j < n_; ++j) {
+            const double variance = influences_(j, i) * influences_(j, i);
+            whole += variance;
+            part += variance * std::min(std::pow(floor / estimate_.noise.sigma[at(j)], 2), 1.0);
+        }
+        return whole > 0 ? estimate_.noise.degrees_of(part / whole) : degrees_of_all();
+    }
+
+    [[nodiscard]] static double quantile(double degrees) {
         const double upper = (1 + kConfidence) / 2;
         if (!std::isfinite(degrees)) return boost::math::quantile(boost::math::normal(), upper);
         return boost::math::quantile(boost::math::students_t(std::max(degrees, 1.0)), upper);
@@ -430,6 +462,8 @@ private:
     std::vector<VectorXd> null_;
     VectorXd unit_, spreads_;
     MatrixXd slopes_, a_inverse_, cov_;
+    MatrixXd misfit_;      ///< what misfit adds to half the loss's curvature
+    MatrixXd influences_;  ///< of each sample's standard deviation on each unknown
 };
 
 /// Bias-corrected percentiles of a sorted sample about the estimate (Efron 1981).

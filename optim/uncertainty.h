@@ -7,6 +7,7 @@
 #include <string>
 #include <vector>
 
+#include "optim/noise.h"
 #include "optim/refit.h"
 
 namespace brdfit::optim {
@@ -19,8 +20,9 @@ struct Estimate {
     const Point& point;                   ///< the minimum of the task's loss
     std::vector<bool> at_bound;           ///< of each parameter
     std::span<const double> sigma;        ///< of each sample, in the task's unit; empty: the residuals' sizes
-    double degrees;                       ///< of freedom of sigma
+    const Noise& noise;                   ///< the channel's, of which sigma is
     bool scale_free;                      ///< the scale was fitted as well
+    bool profiled;                        ///< intervals by profiles of the loss, not by its curvature alone
 };
 
 /// Of one parameter, in the model's unit.
@@ -37,9 +39,10 @@ struct Uncertainty {
     bool too_few = false;              ///< no more samples than parameters: nothing can be said
 };
 
-/// The sandwich H^-1 B H^-1 in each parameter's own scale: H the loss's curvature, from differences of exact gradients;
-/// B the covariance of its gradient under the noise. units: the model's unit over the one that remarks are told in, one
-/// a parameter. docs/statistics.md has the formulas. Throws what an evaluator throws.
+/// By the sandwich H^-1 B H^-1 in each parameter's own scale: H the loss's curvature, from differences of exact
+/// gradients; B the covariance of its gradient under the noise. units: the model's unit over the one that remarks are
+/// told in, one a parameter. Intervals are its own, or profiles' (optim/profile.h). docs/statistics.md has the
+/// formulas. Throws what an evaluator throws.
 Uncertainty uncertainty_of(const Estimate& estimate, Refitter& refitter, std::span<const double> units);
 
 /// Intervals of each parameter from `replicates` refits of the data with noise added, bias-corrected percentiles. Needs
