@@ -42,22 +42,28 @@ struct DirectionSet::Impl {
         return buffer = constant_buffer(shared.context, precision, std::move(values));
     }
 
-    std::vector<std::pair<double, double>> hull(std::size_t a, std::size_t b) {
-        const std::lock_guard lock(mutex);
-        std::vector<std::pair<double, double>>& corners = hulls[{a, b}];
-        if (!corners.empty()) return corners;
+    [[nodiscard]] std::vector<std::pair<double, double>> points(std::size_t a, std::size_t b) const {
         constexpr std::size_t kEnough = 4000;
-        using Point = boost::geometry::model::d2::point_xy<double>;
-        boost::geometry::model::multi_point<Point> points;
+        std::vector<std::pair<double, double>> result;
         const auto table = geometry_columns();
         Angles angles{Direction{}};
         for (std::size_t j = 0; j < std::max<std::size_t>(1, directions.size()); j += 1 + directions.size() / kEnough) {
             if (j < directions.size()) angles.turn(canonical(directions[j]));
-            points.emplace_back(static_cast<double>(table[a].value(angles)),
+            result.emplace_back(static_cast<double>(table[a].value(angles)),
                                 static_cast<double>(table[b].value(angles)));
         }
+        return result;
+    }
+
+    std::vector<std::pair<double, double>> hull(std::size_t a, std::size_t b) {
+        const std::lock_guard lock(mutex);
+        std::vector<std::pair<double, double>>& corners = hulls[{a, b}];
+        if (!corners.empty()) return corners;
+        using Point = boost::geometry::model::d2::point_xy<double>;
+        boost::geometry::model::multi_point<Point> all;
+        for (const auto& [x, y] : points(a, b)) all.emplace_back(x, y);
         boost::geometry::model::polygon<Point> polygon;
-        boost::geometry::convex_hull(points, polygon);
+        boost::geometry::convex_hull(all, polygon);
         for (const Point& point : polygon.outer()) corners.emplace_back(point.x(), point.y());
         return corners;
     }
@@ -73,6 +79,10 @@ private:
 DirectionSet::DirectionSet(std::vector<Direction> directions) : impl_(std::make_shared<Impl>(std::move(directions))) {}
 
 std::span<const Direction> DirectionSet::directions() const { return impl_->directions; }
+
+std::vector<std::pair<double, double>> DirectionSet::points(std::size_t a, std::size_t b) const {
+    return impl_->points(a, b);
+}
 
 std::vector<std::pair<double, double>> DirectionSet::hull(std::size_t a, std::size_t b) const {
     return impl_->hull(a, b);

@@ -22,6 +22,9 @@ public:
     /// places in geometry_columns(); of many directions about 4000 are looked at.
     [[nodiscard]] std::vector<std::pair<double, double>> hull(std::size_t a, std::size_t b) const;
 
+    /// The same points themselves, of many directions about 4000, in the directions' order.
+    [[nodiscard]] std::vector<std::pair<double, double>> points(std::size_t a, std::size_t b) const;
+
     struct Impl;
     [[nodiscard]] Impl& impl() const { return *impl_; }
 

@@ -47,10 +47,10 @@ struct FitOptions {
     std::chrono::duration<double> time_limit{30};  ///< of the whole request
     std::vector<Requirement> require{};            ///< each at most once; a model that cannot meet them is a failure
     bool judge = true;                             ///< also held-out errors, albedo and physics
-    std::optional<bool> profiled{};                ///< intervals by profiles of the loss; none: if judged
     RankBy rank_by = RankBy::loss;                 ///< held_out needs judge
     bool ledger = false;                           ///< also what less work would have changed (optim/ledger.h)
     std::optional<Scene> scene{};                  ///< with one, simpler forms of the models are fitted as well
+    std::optional<bool> profiled{};                ///< intervals by profiles of the loss; none: if judged
 
     bool operator==(const FitOptions&) const = default;
 };

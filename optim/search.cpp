@@ -170,6 +170,8 @@ constexpr DescentGoal kQuickGoal{1e-5, 1e-12, 60};
 constexpr DescentGoal kExactGoal{1e-11, 1e-26, 100};
 /// Rounds of exchanges, while each gains.
 constexpr int kExchangeRounds = 4;
+/// Samples at which a spike is tried in place of a lobe of the best end.
+constexpr std::size_t kMostSpikes = 200;
 /// Of NLopt's SLSQP from each of the last ends, in all parameters.
 constexpr int kFurtherEvaluations = 300;
 /// Ends whose loss^2 is this near to the best are worth polishing, so many of them: found with other samples, or with
@@ -222,7 +224,7 @@ SearchBudget budget(Effort effort, std::size_t dimension, std::size_t lobes) {
     if (dimension <= 1) return {48 * factor, 4 * factor, 0, 0, 0, global};
     // Lobes are apt to change places with noise.
     SearchBudget result{24 * dimension, 2 * dimension, 1, 32, 2, global};
-    if (lobes > 1) result = {32 * dimension, 2 * dimension, 3, 128, 3, global};
+    if (lobes > 1) result = {32 * dimension, 2 * dimension, 3, 128, 4, global};
     if (effort == Effort::draft) return {result.screened / 2, result.starts / 2, 0, 0, 0, 0};
     result.screened *= factor;
     result.starts *= factor;
@@ -386,6 +388,12 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
         std::uint64_t seed = control.seed + static_cast<std::uint64_t>(round);
         std::vector<Minimum> about = distinct_ends(ends, 0.05);
         about.resize(std::min(about.size(), bases));
+        if (round == 0)
+            for (const auto& block : blocks) {
+                const auto spikes = space.spikes(about.front().u, block, kMostSpikes);
+                for (auto& start : best_distinct(spikes, quick.screen(spikes, control), budget.exchange_starts))
+                    next.push_back(std::move(start));
+            }
         for (const Minimum& base : about)
             for (const auto& block : blocks) {
                 const auto fresh = exchanged_points(space, base.u, block, budget.exchanged, ++seed);

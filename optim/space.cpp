@@ -31,6 +31,8 @@ class Axis {
 public:
     virtual ~Axis() = default;
     [[nodiscard]] virtual std::size_t dimension() const { return 1; }
+    /// The homogeneous term of which this is the direction.
+    [[nodiscard]] virtual std::optional<std::size_t> lobe() const { return std::nullopt; }
     /// Numbers that apply() leaves for fold() and gradient(), which are called many times for a candidate.
     [[nodiscard]] virtual std::size_t notes() const { return 1; }
     virtual void apply(std::span<const double> u, Candidate& out, std::span<double> notes) const = 0;
@@ -247,6 +249,7 @@ public:
     }
 
     [[nodiscard]] std::size_t dimension() const override { return height_ ? 2 : 1; }
+    [[nodiscard]] std::optional<std::size_t> lobe() const override { return term_; }
 
     /// The rectangle must hold the origin, so that every direction has lengths from 0.
     static bool covers(Interval x, Interval y) { return x.min < 0 && x.max > 0 && y.min < 0 && y.max > 0; }
@@ -387,7 +390,12 @@ private:
 
 SearchSpace::SearchSpace(const Model& model, std::vector<Interval> bounds, Unknowns unknowns, ScaleRange scale,
                          double level, Charts charts, const kernels::DirectionSet* seen)
-    : model_(model), nonlinear_(model.nonlinear()), bounds_(std::move(bounds)), unknowns_(unknowns), scale_(scale) {
+    : model_(model),
+      seen_(seen),
+      nonlinear_(model.nonlinear()),
+      bounds_(std::move(bounds)),
+      unknowns_(unknowns),
+      scale_(scale) {
     const bool all = unknowns == Unknowns::all;
     std::vector<bool> taken(model.parameters.size(), false);
     for (std::size_t i = 0; i < taken.size(); ++i) taken[i] = (model.is_linear(i) && !all) || bounds_[i].fixed();
@@ -567,6 +575,35 @@ std::vector<std::vector<std::size_t>> SearchSpace::blocks() const {
     if (scaled()) others.push_back(first);
     for (auto& [lobe, coordinates] : lobes) result.push_back(std::move(coordinates));
     if (!others.empty()) result.push_back(std::move(others));
+    return result;
+}
+
+std::vector<std::vector<double>> SearchSpace::spikes(const std::vector<double>& u,
+                                                     const std::vector<std::size_t>& block, std::size_t most) const {
+    std::vector<std::vector<double>> result;
+    std::size_t first = 0;
+    for (std::size_t i = 0; i < axes_.size(); first += axes_[i++]->dimension()) {
+        const std::optional<std::size_t> term = axes_[i]->lobe();
+        if (!term || std::find(block.begin(), block.end(), first) == block.end()) continue;
+        const Term::Homogeneous& lobe = *model_.terms[*term].homogeneous;
+        if (seen_ == nullptr || !lobe.columns || bounds_[lobe.degree].fixed()) continue;
+        std::vector<double> angles;  // of the samples, in the plane of the lobe's columns
+        for (const auto& [a, b] : seen_->points(lobe.columns->first, lobe.columns->second))
+            angles.push_back(std::atan2(b, a));
+        std::sort(angles.begin(), angles.end());
+        angles.erase(std::unique(angles.begin(), angles.end()), angles.end());
+        std::vector<double> parameters = candidate(u).parameters;
+        parameters[lobe.degree] = bounds_[lobe.degree].max;
+        const std::size_t count = std::min(angles.size(), most);
+        for (std::size_t k = 0; k < count; ++k) {
+            const double psi = angles[k * angles.size() / count];
+            parameters[lobe.plane.first] = std::cos(psi);
+            parameters[lobe.plane.second] = std::sin(psi);
+            const std::vector<double> there = coordinates(parameters, scale(u));
+            result.push_back(u);
+            for (const std::size_t j : block) result.back()[j] = there[j];
+        }
+    }
     return result;
 }
 

@@ -51,8 +51,8 @@ enum class Charts {
 /// leave them whole.
 class SearchSpace {
 public:
-    /// bounds: one for each parameter of the model. seen: the samples' directions, by which a lobe's height is that of
-    /// its highest value there. level > 0, with Unknowns::all: coefficients and heights are even below it, and above in
+    /// bounds: one for each parameter of the model. seen: the samples' directions, which must outlive it, by which a
+    /// lobe's height is that of its highest value there. level > 0, with Unknowns::all: coefficients and heights are even below it, and above in
     /// their logarithm.
     SearchSpace(const kernels::Model& model, std::vector<Interval> bounds, Unknowns unknowns = Unknowns::nonlinear,
                 ScaleRange scale = {}, double level = 1, Charts charts = Charts::used,
@@ -88,6 +88,12 @@ public:
     [[nodiscard]] std::vector<Interval> typical() const;
     /// Coordinates that belong together: those of each lobe, of each chart, and the others. They partition the cube's.
     [[nodiscard]] std::vector<std::vector<std::size_t>> blocks() const;
+    /// The point with the lobe whose coordinates these are in the shape of a spike: of the largest exponent, towards a
+    /// sample; one point each of up to `most` samples, evenly chosen. None for other coordinates, or where no samples
+    /// are known.
+    [[nodiscard]] std::vector<std::vector<double>> spikes(const std::vector<double>& u,
+                                                          const std::vector<std::size_t>& block,
+                                                          std::size_t most) const;
     [[nodiscard]] const std::vector<Interval>& bounds() const { return bounds_; }
 
 private:
@@ -95,6 +101,7 @@ private:
     /// The scale at u: the last coordinate, even in its logarithm; 1 for absolute data.
     [[nodiscard]] double scale(std::span<const double> u) const;
     const kernels::Model& model_;
+    const kernels::DirectionSet* seen_;
     std::vector<std::size_t> nonlinear_;
     std::vector<Interval> bounds_;
     Unknowns unknowns_;

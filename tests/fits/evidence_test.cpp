@@ -193,15 +193,16 @@ TEST(Intervals, OfAMean) {
     FitOptions options;
     options.loss = optim::Loss::l2;
     const Fit given =
-        only(fitter().fit(dataset_of(constant_with({0.1, 0.2, 0.15}, 0.01)), {request("lambert")}, options));
+        only(fitter().fit(dataset_of(constant_with({0.14, 0.16, 0.15}, 0.01)), {request("lambert")}, options));
     const double error = std::numbers::pi * 0.01 / std::sqrt(3);
     EXPECT_NEAR(given.parameters[0].std_error.value(), error, 1e-9);
     const double value = std::numbers::pi * 0.15;
     EXPECT_NEAR(given.parameters[0].interval_95.value()[0], value - 1.959964 * error, 1e-6);
     EXPECT_NEAR(given.parameters[0].interval_95.value()[1], value + 1.959964 * error, 1e-6);
     // Without sigma: the residuals, each over 1 - 1/3, and Student's t of two degrees of freedom.
-    const Fit own = only(fitter().fit(dataset_of(constant_with({0.1, 0.2, 0.15}, {})), {request("lambert")}, options));
-    const double by_residuals = std::numbers::pi * std::sqrt(2 * 0.05 * 0.05) / (2.0 / 3) / 3;
+    const Fit own =
+        only(fitter().fit(dataset_of(constant_with({0.14, 0.16, 0.15}, {})), {request("lambert")}, options));
+    const double by_residuals = std::numbers::pi * std::sqrt(2 * 0.01 * 0.01) / (2.0 / 3) / 3;
     EXPECT_NEAR(own.parameters[0].std_error.value(), by_residuals, 1e-9);
     EXPECT_NEAR(own.parameters[0].interval_95.value()[1], value + 4.302653 * by_residuals, 1e-6);
 }
