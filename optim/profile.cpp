@@ -320,18 +320,17 @@ private:
         return result;
     }
 
-    /// Where an unknown stands at its nearer bound, another is held, and the rest make up for it. None if the loss has
+    /// Where an unknown stands at its lower bound, another is held, and the rest make up for it. None if the loss has
     /// no minimum there.
-    std::optional<Place> at_nearer_bound(const Place& from, Index i, Index held, double close) {
+    std::optional<Place> at_lower_bound(const Place& from, Index i, Index held, double close) {
         constexpr int kMostSteps = 12;
-        const bool up = upper_[at(i)] - from.z(i) < from.z(i) - lower_[at(i)];
         const auto [low, high] = std::pair{lower_[at(held)], upper_[at(held)]};
         lower_[at(held)] = upper_[at(held)] = from.z(held);
         std::optional<Place> result;
         double damping = 0;
         for (int k = 0; k < kMostSteps && !m_.task.control.over(); ++k) {
             const Place& at_hand = result ? *result : from;
-            const double by = (up ? upper_ : lower_)[at(i)] - at_hand.z(i);
+            const double by = lower_[at(i)] - at_hand.z(i);
             VectorXd z = at_hand.z + respond(at_hand, i, by, damping).step;
             for (Index j = 0; j < count(); ++j) z(j) = std::clamp(z(j), lower_[at(j)], upper_[at(j)]);
             Place there = look(z);
@@ -351,13 +350,16 @@ private:
         return result;
     }
 
-    /// The same as threshold(), whichever of the unknowns near bounds stand there in truth: the largest.
+    /// The same as threshold(), or what it is if k is 0 in truth, as any dielectric's is, and only noise lifts it, if
+    /// that is more: the noise that shows at the estimate of k may be far from the truth's.
     double safe_threshold(const Place& here, Index psi, double noise, double degrees, double close) {
         double most = threshold(here, psi, noise, degrees);
         for (const auto& [distance, i] : tested(here, psi).near) {
-            if (!(distance > 0 && std::isfinite(distance))) continue;
-            const auto there = at_nearer_bound(here, i, psi, close);
-            if (there) most = std::max(most, threshold(*there, psi, respond(*there, psi, 0, 0).noise, degrees));
+            const bool lower = here.z(i) - lower_[at(i)] < upper_[at(i)] - here.z(i);
+            if (m_.unknowns[at(i)].own != Own::square || !lower || distance <= 0 || !std::isfinite(distance)) continue;
+            const auto there = at_lower_bound(here, i, psi, close);
+            if (!there || there->loss2 - here.loss2 > kNear * kNear * respond(here, i, 0, 0).noise) continue;
+            most = std::max(most, threshold(*there, psi, respond(*there, psi, 0, 0).noise, degrees));
         }
         return most;
     }
@@ -453,7 +455,10 @@ private:
             const double root = std::sqrt(rise / unit);
             bool settled = k == 0 || still || from.loss2 - here.loss2 <= kClose * reach * reach * unit;
             if (k > 0 && settled && std::abs(reach - root) < 0.4 * reach && z != judged) {
-                reach = std::sqrt(safe_threshold(from, psi, here.noise, degrees, kClose * reach * reach * unit) / unit);
+                // The noise at the estimate or here, whichever is more: bent, the profile shows both.
+                const double more = std::max(1.0, first.noise / here.noise);
+                reach = std::sqrt(more * safe_threshold(from, psi, here.noise, degrees, kClose * reach * reach * unit) /
+                                  unit);
                 settled = still || from.loss2 - here.loss2 <= kClose * reach * reach * unit;
                 judged = z;
             }
