@@ -40,6 +40,8 @@ double quantile(double degrees) {
 
 /// Unknowns near bounds that a threshold takes account of, besides the one whose interval it is.
 constexpr Index kMostNear = 2;
+/// Standard errors within which a bound is near.
+constexpr double kNear = 3;
 constexpr std::size_t kDraws = 500;
 using Few = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMostNear + 1, 1>;
 using FewByFew = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kMostNear + 1, kMostNear + 1>;
@@ -277,31 +279,37 @@ private:
         return result;
     }
 
-    /// By what the loss's profile rises above its minimum at most in 95 % of cases, if the truth is here: noise^2 t^2
-    /// where no bound is near, and what repetition in the quadratic form and its bounds says elsewhere.
-    [[nodiscard]] double threshold(const Place& here, Index psi, double noise, double degrees) const {
-        constexpr double kNear = 3;  // standard errors
-        const double t = quantile(degrees);
-        MatrixXd h = here.a + m_.misfit;
-        const Index n = count();
-        const VectorXd unit = h.diagonal().cwiseAbs().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
+    /// From a place to an unknown's bound, in that unit of it.
+    [[nodiscard]] double room(const Place& here, Index i, double unit, bool up) const {
+        return (up ? upper_[at(i)] - here.z(i) : lower_[at(i)] - here.z(i)) / unit;
+    }
+
+    /// A place as one unknown is tested there: in units that make the curvature's diagonal 1.
+    struct Tested {
+        VectorXd unit;
+        MatrixXd h, b;
+        std::vector<Index> others;
+        /// Of them those with a bound at hand, nearest first: standard errors to it, infinite if it is not left.
+        std::vector<std::pair<double, Index>> near;
+    };
+    [[nodiscard]] Tested tested(const Place& here, Index psi) const {
+        Tested result;
+        auto& [unit, h, b, others, near] = result;
+        h = here.a + m_.misfit;
+        unit = h.diagonal().cwiseAbs().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
         h = unit.asDiagonal() * h * unit.asDiagonal();
         h.diagonal().array() += 1e-10;
-        const MatrixXd b = unit.asDiagonal() * here.b * unit.asDiagonal();
-        std::vector<Index> others;
-        for (Index i = 0; i < n; ++i)
+        b = unit.asDiagonal() * here.b * unit.asDiagonal();
+        for (Index i = 0; i < count(); ++i)
             if (i != psi && lower_[at(i)] < upper_[at(i)]) others.push_back(i);
-        const auto room = [&](Index i, bool up) {
-            return (up ? upper_[at(i)] - here.z(i) : lower_[at(i)] - here.z(i)) / unit(i);
-        };
-        std::vector<std::pair<double, Index>> near;
         if (!others.empty()) {
             const MatrixXd inverse = h(others, others).inverse();
             const MatrixXd cov = inverse * b(others, others) * inverse;
             for (Index k = 0; k < cov.rows(); ++k) {
                 const Index i = others[at(k)];
                 const double error = std::sqrt(std::max(cov(k, k), 0.0));
-                const double distance = std::min(-room(i, false), room(i, true)) / std::max(error, 1e-300);
+                const double distance =
+                    std::min(-room(here, i, unit(i), false), room(here, i, unit(i), true)) / std::max(error, 1e-300);
                 // A bound that holds back more than noise pushes is not left.
                 const double pushed = std::abs(here.g(i)) * unit(i) / std::sqrt(std::max(b(i, i), 1e-300));
                 if (distance < kNear && !(distance <= 0 && pushed > kNear)) near.emplace_back(distance, i);
@@ -309,6 +317,59 @@ private:
             }
         }
         std::sort(near.begin(), near.end());
+        return result;
+    }
+
+    /// Where an unknown stands at its lower bound, another is held, and the rest make up for it. None if the loss has
+    /// no minimum there.
+    std::optional<Place> at_lower_bound(const Place& from, Index i, Index held, double close) {
+        constexpr int kMostSteps = 12;
+        const auto [low, high] = std::pair{lower_[at(held)], upper_[at(held)]};
+        lower_[at(held)] = upper_[at(held)] = from.z(held);
+        std::optional<Place> result;
+        double damping = 0;
+        for (int k = 0; k < kMostSteps && !m_.task.control.over(); ++k) {
+            const Place& at_hand = result ? *result : from;
+            const double by = lower_[at(i)] - at_hand.z(i);
+            VectorXd z = at_hand.z + respond(at_hand, i, by, damping).step;
+            for (Index j = 0; j < count(); ++j) z(j) = std::clamp(z(j), lower_[at(j)], upper_[at(j)]);
+            Place there = look(z);
+            if (!std::isfinite(there.loss2) || !there.a.allFinite() || !there.g.allFinite()) break;
+            const double gain = at_hand.loss2 - there.loss2;
+            if (!result || gain > 0) {
+                const bool done = result && gain <= close;
+                result = std::move(there);
+                damping = damping > 1e-3 ? damping / 5 : 0;
+                if (done) break;
+            } else {
+                damping = std::max(1e-2, 5 * damping);
+            }
+        }
+        lower_[at(held)] = low;
+        upper_[at(held)] = high;
+        return result;
+    }
+
+    /// The same as threshold(), or what it is if k is 0 in truth, as any dielectric's is, and only noise lifts it, if
+    /// that is more: the noise that shows at the estimate of k may be far from the truth's.
+    double safe_threshold(const Place& here, Index psi, double noise, double degrees, double close) {
+        double most = threshold(here, psi, noise, degrees);
+        for (const auto& [distance, i] : tested(here, psi).near) {
+            const bool lower = here.z(i) - lower_[at(i)] < upper_[at(i)] - here.z(i);
+            if (m_.unknowns[at(i)].own != Own::square || !lower || distance <= 0 || !std::isfinite(distance)) continue;
+            const auto there = at_lower_bound(here, i, psi, close);
+            if (!there || there->loss2 - here.loss2 > kNear * kNear * respond(here, i, 0, 0).noise) continue;
+            most = std::max(most, threshold(*there, psi, respond(*there, psi, 0, 0).noise, degrees));
+        }
+        return most;
+    }
+
+    /// By what the loss's profile rises above its minimum at most in 95 % of cases, if the truth is here: noise^2 t^2
+    /// where no bound is near, and what repetition in the quadratic form and its bounds says elsewhere.
+    [[nodiscard]] double threshold(const Place& here, Index psi, double noise, double degrees) const {
+        const double t = quantile(degrees);
+        const auto [unit, h, b, others, near] = tested(here, psi);
+        const Index n = count();
         std::vector<Index> kept{psi}, free;
         for (const auto& [distance, i] : near)
             if (std::isfinite(distance) && kept.size() <= at(kMostNear)) kept.push_back(i);
@@ -328,14 +389,15 @@ private:
         }
         const MatrixXd shaken = to * b * to.transpose();
         const double error = std::sqrt(shaken(0, 0)) / left(0, 0);
-        const double to_low = -room(psi, false) / error;
-        const double to_high = room(psi, true) / error;
+        const double to_low = -room(here, psi, unit(psi), false) / error;
+        const double to_high = room(here, psi, unit(psi), true) / error;
         if (kept.size() == 1 && to_low > kNear && to_high > kNear) return t * t * noise;
         const auto m = static_cast<Index>(kept.size());
         Few low(m), high(m);
         for (Index k = 0; k < m; ++k) {
-            low(k) = std::min(room(kept[at(k)], false), 0.0);
-            high(k) = std::max(room(kept[at(k)], true), 0.0);
+            const Index i = kept[at(k)];
+            low(k) = std::min(room(here, i, unit(i), false), 0.0);
+            high(k) = std::max(room(here, i, unit(i), true), 0.0);
             if (k > 0 && -low(k) < high(k)) high(k) = HUGE_VAL;  // the nearer one counts
             else if (k > 0) low(k) = -HUGE_VAL;
         }
@@ -393,7 +455,10 @@ private:
             const double root = std::sqrt(rise / unit);
             bool settled = k == 0 || still || from.loss2 - here.loss2 <= kClose * reach * reach * unit;
             if (k > 0 && settled && std::abs(reach - root) < 0.4 * reach && z != judged) {
-                reach = std::sqrt(threshold(from, psi, here.noise, degrees) / unit);
+                // The noise at the estimate or here, whichever is more: bent, the profile shows both.
+                const double more = std::max(1.0, first.noise / here.noise);
+                reach = std::sqrt(more * safe_threshold(from, psi, here.noise, degrees, kClose * reach * reach * unit) /
+                                  unit);
                 settled = still || from.loss2 - here.loss2 <= kClose * reach * reach * unit;
                 judged = z;
             }
