@@ -210,6 +210,10 @@ cl::Program ProgramBuilder::load(const std::vector<unsigned char>& binary, const
 cl::Program ProgramBuilder::program(const ProgramSource& source) {
     const CacheKey key = this->key("program", source.text, source.flags);
     const std::lock_guard lock(mutex_);
+    {
+        const std::lock_guard stop_lock(stop_mutex_);
+        if (stopped_) throw DeviceError("building programs was stopped");  // loading one takes long, too
+    }
     if (const auto binary = cache_.load(key)) try {
             return load(*binary, source.flags);
         } catch (const cl::Error&) {

@@ -52,8 +52,8 @@ enum class Charts {
 class SearchSpace {
 public:
     /// bounds: one for each parameter of the model. seen: the samples' directions, which must outlive it, by which a
-    /// lobe's height is that of its highest value there. level > 0, with Unknowns::all: coefficients and heights are even below it, and above in
-    /// their logarithm.
+    /// lobe's height is that of its highest value there. level > 0, with Unknowns::all: coefficients and heights are
+    /// even below it, and above in their logarithm.
     SearchSpace(const kernels::Model& model, std::vector<Interval> bounds, Unknowns unknowns = Unknowns::nonlinear,
                 ScaleRange scale = {}, double level = 1, Charts charts = Charts::used,
                 const kernels::DirectionSet* seen = nullptr);

@@ -123,12 +123,14 @@ std::vector<api::ModelCost> costs_of(optim::Fitter& fitter, const kernels::Catal
 template <class Idle, class Tell>
 void prepare_scenes(optim::Fitter& fitter, const kernels::Catalogue& catalogue, const std::stop_token& stop, Idle idle,
                     Tell tell) try {
+    if (stop.stop_requested()) return;
     tell(false);
     for (const kernels::Family& family : catalogue.families())
         for (const kernels::Submodel& submodel : family.submodels) {
             if (stop.stop_requested()) return;
             fitter.warm_up(submodel);
         }
+    if (stop.stop_requested()) return;
     tell(true);
     std::mutex mutex;
     std::unique_lock lock(mutex);
@@ -141,7 +143,7 @@ void prepare_scenes(optim::Fitter& fitter, const kernels::Catalogue& catalogue, 
         pause = std::min(2 * pause, kSettlingMost);
     }
 } catch (const std::exception& error) {
-    spdlog::error("costs were not measured: {}", error.what());
+    if (!stop.stop_requested()) spdlog::error("costs were not measured: {}", error.what());
 }
 
 std::string problem_json(const api::Problem& problem, const std::string& id) {
@@ -515,6 +517,7 @@ void work(const WorkerOptions& options) {
     sigaddset(&signals, SIGINT);
     pthread_sigmask(SIG_BLOCK, &signals, nullptr);  // inherited by every thread: one waits for them
     std::unique_ptr<Channel> channel;
+    std::atomic<bool> stopping = false;
     if (options.channel >= 0) {
         channel = std::make_unique<Channel>(options.channel);
         ::prctl(PR_SET_PDEATHSIG, SIGKILL);  // nobody would hear of what it does
@@ -529,7 +532,10 @@ void work(const WorkerOptions& options) {
         Worker worker(options, catalogue, engine, fitter, *store, channel.get());
 
         std::stop_source stop;
-        const auto stop_building = [&] { engine.stop_building(); };
+        const auto stop_building = [&] {
+            stopping = true;
+            engine.stop_building();
+        };
         const std::stop_callback stopped(stop.get_token(), stop_building);
         std::jthread listener([&] {
             while (channel) {
@@ -560,7 +566,8 @@ void work(const WorkerOptions& options) {
         SelfTester tester(engine, catalogue.families());
         tester.prove_best();
         if (engine.usable())
-            for (const kernels::Family& family : catalogue.families()) fitter.warm_up(family);
+            for (const kernels::Family& family : catalogue.families())
+                if (!stop.stop_requested()) fitter.warm_up(family);
         tell_facts(tester);
         if (!channel) spdlog::info("takes jobs from {}, computing on {}", options.store, engine.device().name);
         {
@@ -576,6 +583,7 @@ void work(const WorkerOptions& options) {
             engine.stop_building();
         }
     } catch (const std::exception& error) {
+        if (stopping) return;  // what was cut short
         if (!channel) throw;
         channel->send(Channel::Kind::failed, error.what());
     }

@@ -12,7 +12,7 @@
        "doc": "coefficient of the tangential product; negative for a forward lobe, positive for a retro-reflective one"},
       {"name": "c_z", "unit": "1", "min": -3, "max": 3, "domain": [-1e30, 1e30], "scale": "linear",
        "doc": "coefficient of the normal product"},
-      {"name": "n", "unit": "1", "min": 0.3, "max": 1e4, "domain": [0, 1e12], "typical": [0.3, 3e3], "scale": "log",
+      {"name": "n", "unit": "1", "min": 0.01, "max": 1e4, "domain": [0, 1e12], "typical": [0.03, 3e3], "scale": "log",
        "doc": "exponent of the lobe"}
     ]
   },

@@ -243,7 +243,7 @@ TEST_P(EverySpace, EveryPointOfTheBoundsHasCoordinates) {
             std::vector<double> p = random.parameters(model);
             for (const kernels::Term& term : model.terms)  // heights that neither vanish nor overflow
                 if (term.homogeneous)
-                    p[term.homogeneous->degree] = random.on_scale(kernels::Scale::logarithmic, 0.5, 200);
+                    p[term.homogeneous->degree] = random.on_scale(kernels::Scale::logarithmic, 0.1, 200);
             const std::vector<double> u = space.coordinates(p, 1);
             // Directions almost opposite to the pole of a narrow lobe lie beyond the chart's ends.
             if (std::any_of(u.begin(), u.end(), [](double x) { return x == 0 || x == 1; })) continue;
