@@ -293,14 +293,14 @@ void Listener::Loop::run(int socket) {
         const int count = ::epoll_wait(epoll_.get(), events.data(), static_cast<int>(events.size()),
                                        connections_.empty() ? -1 : static_cast<int>(tick.count()));
         for (int i = 0; i < count; ++i) {
-            const epoll_event& event = events[static_cast<std::size_t>(i)];
-            if (event.data.u64 == kListening) accept_some();
-            if (event.data.u64 == kWake) {
+            const std::uint64_t id = events[static_cast<std::size_t>(i)].data.u64;  // packed: no reference to it
+            if (id == kListening) accept_some();
+            if (id == kWake) {
                 std::uint64_t times = 0;
                 (void)!::read(wake_.get(), &times, sizeof times);
                 take_answered();
             }
-            const auto found = connections_.find(event.data.u64);
+            const auto found = connections_.find(id);
             if (found == connections_.end()) continue;
             Connection& c = *found->second;
             try {
