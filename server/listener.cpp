@@ -35,6 +35,9 @@
 namespace brdfit::server {
 namespace {
 
+/// Named, as clang 14 forgets a member of what problem_type() gives within braces.
+constexpr api::ProblemType kBusy = api::problem_type("busy");
+
 using Clock = std::chrono::steady_clock;
 using std::chrono::milliseconds;
 
@@ -370,7 +373,7 @@ void Listener::Loop::turn_away(int socket) {
     const Descriptor owned(socket);
     Exchange exchange;
     exchange.last = true;
-    service_.refuse(exchange, {api::problem_type("busy"), "the service has as many connections as it can have", {}});
+    service_.refuse(exchange, {kBusy, "the service has as many connections as it can have", {}});
     (void)!::recv(socket, buffer_.data(), buffer_.size(), MSG_DONTWAIT);  // unread bytes would reset the connection
     (void)!::send(socket, exchange.output.data(), exchange.output.size(), MSG_NOSIGNAL | MSG_DONTWAIT);
     ::shutdown(socket, SHUT_WR);
@@ -390,8 +393,7 @@ bool Listener::Loop::evict(const std::string* address, bool holding) {
         victim->state == State::body) {
         Exchange exchange;
         exchange.last = true;
-        service_.refuse(exchange,
-                        {api::problem_type("busy"), "the service has as many connections as it can have", {}});
+        service_.refuse(exchange, {kBusy, "the service has as many connections as it can have", {}});
         (void)!::recv(victim->socket.get(), buffer_.data(), buffer_.size(), 0);
         std::size_t sent = 0;
         (void)send_some(victim->socket.get(), exchange.output, sent);
@@ -563,7 +565,7 @@ void Listener::Loop::expire(Connection& c) {
             break;
         case State::body:
             c.why = c.paused ? "no_room" : "body_timeout";
-            if (c.paused) refuse(c, {api::problem_type("busy"), "the service has no room for the body", {}}, true);
+            if (c.paused) refuse(c, {kBusy, "the service has no room for the body", {}}, true);
             else refuse(c, {api::problem_type("request-timeout"), "the request's body did not come in time", {}}, true);
             break;
         case State::lingering: return close(c, c.why);
