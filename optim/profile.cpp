@@ -6,7 +6,6 @@
 
 #include <Eigen/Dense>
 #include <boost/math/distributions/normal.hpp>
-#include <boost/math/distributions/students_t.hpp>
 
 #include "optim/statistics.h"
 
@@ -17,7 +16,6 @@ using Eigen::Index;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
-constexpr double kConfidence = 0.95;
 /// Of a parameter that the model is even in: below, it is 0, where it has no slope.
 constexpr double kNought = 1e-3;
 
@@ -31,12 +29,6 @@ struct Place {
     MatrixXd a;  ///< Gauss and Newton's
     MatrixXd b;  ///< covariance of g by noise
 };
-
-double quantile(double degrees) {
-    constexpr double kUpper = (1 + kConfidence) / 2;
-    if (!std::isfinite(degrees)) return boost::math::quantile(boost::math::normal(), kUpper);
-    return boost::math::quantile(boost::math::students_t(std::max(degrees, 1.0)), kUpper);
-}
 
 /// Unknowns near bounds that a threshold takes account of, besides the one whose interval it is.
 constexpr Index kMostNear = 2;
@@ -367,7 +359,7 @@ private:
     /// By what the loss's profile rises above its minimum at most in 95 % of cases, if the truth is here: noise^2 t^2
     /// where no bound is near, and what repetition in the quadratic form and its bounds says elsewhere.
     [[nodiscard]] double threshold(const Place& here, Index psi, double noise, double degrees) const {
-        const double t = quantile(degrees);
+        const double t = standard_errors_of_interval(degrees);
         const auto [unit, h, b, others, near] = tested(here, psi);
         const Index n = count();
         std::vector<Index> kept{psi}, free;
@@ -416,7 +408,7 @@ private:
         }
         const auto place = rises.begin() + static_cast<std::ptrdiff_t>(kConfidence * kDraws);
         std::nth_element(rises.begin(), place, rises.end());
-        const double wider = t / quantile(HUGE_VAL);
+        const double wider = t / standard_errors_of_interval(HUGE_VAL);
         return *place * wider * wider;
     }
 
@@ -441,7 +433,7 @@ private:
         double most = size;
         double damping = 0;
         bool still = false, refused = false;
-        double reach = quantile(degrees);
+        double reach = standard_errors_of_interval(degrees);
         double judged = NAN;  // where reach was found
         for (int k = 0; k < kMostLooks; ++k) {
             if (m_.task.control.over()) return std::nullopt;
@@ -530,8 +522,9 @@ private:
                 most = 0.35 * std::abs(by) * factor, refused = true;
             }
         }
-        const double wald = std::clamp(centre + side * quantile(degrees) * std::sqrt(first.noise / first.curvature),
-                                       lower_[at(psi)], upper_[at(psi)]);
+        const double wald =
+            std::clamp(centre + side * standard_errors_of_interval(degrees) * std::sqrt(first.noise / first.curvature),
+                       lower_[at(psi)], upper_[at(psi)]);
         return side * (wald - inner) > 0 ? wald : inner;
     }
 

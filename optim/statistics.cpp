@@ -6,6 +6,9 @@
 #include <map>
 #include <numbers>
 
+#include <boost/math/distributions/normal.hpp>
+#include <boost/math/distributions/students_t.hpp>
+
 #include <fmt/format.h>
 
 namespace brdfit::optim {
@@ -136,6 +139,12 @@ void describe_evidence(double deviance, std::size_t samples, std::size_t free, F
     fit.aicc.reset();
     if (n > k + 1) fit.aicc = deviance + 2 * k + 2 * k * (k + 1) / (n - k - 1);
     fit.bic = deviance + k * std::log(n);
+}
+
+double standard_errors_of_interval(double degrees) {
+    constexpr double kUpper = (1 + kConfidence) / 2;
+    if (!std::isfinite(degrees)) return boost::math::quantile(boost::math::normal(), kUpper);
+    return boost::math::quantile(boost::math::students_t(std::max(degrees, 1.0)), kUpper);
 }
 
 }  // namespace brdfit::optim

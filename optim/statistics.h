@@ -11,6 +11,12 @@
 
 namespace brdfit::optim {
 
+/// Of every interval that is told.
+inline constexpr double kConfidence = 0.95;
+/// By how many standard errors such an interval goes to each side: Student's t; the normal distribution's value for
+/// infinitely many degrees of freedom. Fewer than one count as one.
+double standard_errors_of_interval(double degrees);
+
 /// Loss and its residuals at given model values f (one a sample).
 struct Residuals {
     double loss2 = 0;          ///< sum of w r^2, or what a robust form has for it

@@ -7,7 +7,6 @@
 #include <fmt/format.h>
 #include <Eigen/Dense>  // small dense symmetric problems: eigenvalues tell what the data do not determine
 #include <boost/math/distributions/normal.hpp>  // quantiles
-#include <boost/math/distributions/students_t.hpp>
 
 #include "optim/coordinate.h"
 #include "optim/profile.h"
@@ -20,7 +19,6 @@ using Eigen::Index;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
 
-constexpr double kConfidence = 0.95;
 /// Parts of the data's size that are rounding.
 constexpr double kUnseen = 1e-12;
 /// Relative to unit columns: below, a direction is rounding noise.
@@ -66,7 +64,7 @@ public:
             if (p.undetermined) continue;
             p.std_error = std_error;
             const Interval& bounds = estimate_.bounds[*c.parameter];
-            const double t = quantile(degrees_of(i));
+            const double t = standard_errors_of_interval(degrees_of(i));
             const double low = c.value(c.z(c.p) - t * error);
             const double high = c.value(c.z(c.p) + t * error);
             if (std::isfinite(low) && std::isfinite(high))
@@ -74,7 +72,8 @@ public:
         }
         for (std::size_t i = 0; i < model.parameters.size(); ++i)
             if (estimate_.at_bound[i])
-                result.parameters[i].interval_95 = one_sided(coordinate_of(i), quantile(degrees_of_all()));
+                result.parameters[i].interval_95 =
+                    one_sided(coordinate_of(i), standard_errors_of_interval(degrees_of_all()));
         if (estimate_.profiled) profile(result);
         correlations(result);
         remarks(result, units);
@@ -355,12 +354,6 @@ private:
             part += variance * std::min(std::pow(floor / estimate_.noise.sigma[at(j)], 2), 1.0);
         }
         return whole > 0 ? estimate_.noise.degrees_of(part / whole) : degrees_of_all();
-    }
-
-    [[nodiscard]] static double quantile(double degrees) {
-        const double upper = (1 + kConfidence) / 2;
-        if (!std::isfinite(degrees)) return boost::math::quantile(boost::math::normal(), upper);
-        return boost::math::quantile(boost::math::students_t(std::max(degrees, 1.0)), upper);
     }
 
     /// Of a parameter at a bound: from there to the upper end of its interval if it were free.
