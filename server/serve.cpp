@@ -16,6 +16,7 @@
 #include "api/response.h"
 #include "kernels/model.h"
 #include "server/http.h"
+#include "server/job_metrics.h"
 #include "server/routes.h"
 #include "server/store.h"
 #include "server/supervisor.h"
@@ -68,6 +69,8 @@ void serve(const ServeOptions& options) {
     Supervisor supervisor(catalogue, *store, std::move(supervisor_options));
     const Routes routes(catalogue, *store, supervisor, stop.get_token(), options.http.limits.largest_body);
     HttpServer http(routes, options.http);
+    http.metrics().add_source([&store] { return job_figures(*store); });
+    http.metrics().add_source([&supervisor] { return worker_figures(supervisor); });
     const int port = http.bind(options.host, options.port);  // a taken port is told before a compiler runs
 
     enum class Phase { starting, serving, abandoned };

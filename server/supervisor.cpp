@@ -389,7 +389,7 @@ struct Supervisor::Impl {
     std::list<Worker> workers;
     std::optional<api::DeviceFacts> facts;  ///< the latest; workers of one front end have the same device
     std::string failure;                    ///< why a worker refused to start
-    unsigned ends = 0;                      ///< of worker processes
+    std::uint64_t ends = 0;                 ///< of worker processes
     std::uint64_t questions = 0;
     bool rest_may_start = false;
     bool stopping = false;
@@ -423,6 +423,13 @@ std::optional<kernels::DeviceInfo> Supervisor::known_device() const {
     const std::lock_guard lock(impl_->mutex);
     if (!impl_->facts) return std::nullopt;
     return impl_->facts->device;
+}
+
+Supervisor::Processes Supervisor::processes() const {
+    const std::lock_guard lock(impl_->mutex);
+    const auto ready = std::count_if(impl_->workers.begin(), impl_->workers.end(),
+                                     [](const Impl::Worker& worker) { return worker.ready; });
+    return {static_cast<std::size_t>(ready), impl_->ends};
 }
 
 kernels::DeviceInfo Supervisor::device() const {

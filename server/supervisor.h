@@ -2,6 +2,7 @@
 #pragma once
 
 #include <chrono>
+#include <cstddef>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -43,6 +44,12 @@ public:
 
     /// None while no worker has told of it.
     [[nodiscard]] std::optional<kernels::DeviceInfo> known_device() const;
+
+    struct Processes {
+        std::size_t ready = 0;    ///< that take jobs
+        std::uint64_t ended = 0;  ///< since the start; another followed each
+    };
+    [[nodiscard]] Processes processes() const;
 
     // Compute
     [[nodiscard]] kernels::DeviceInfo device() const override;

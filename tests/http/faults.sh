@@ -70,6 +70,12 @@ post_json /v1/evaluate '{"model":"lambert","parameters":{"k_d":0.5},"geometry":{
 answered "all workers are killed: an evaluation waits for the next" 200
 post_csv models=ward "$file" -H "$anew"
 answered "... and so does a fit" 200
+# metric NAME: the metric's value, labels being part of the name.
+metric() { curl -sS "$url/metrics" | awk -v name="$1" '$1 == name { print $2 }'; }
+check "metrics: workers that have ended" test "$(metric brdfit_workers_ended_total)" -ge 3
+check "... are followed by others" until_true 30 eval '[[ $(metric brdfit_workers_ready) == 2 ]]'
+check_equal "... succeeded fits" "$(metric 'brdfit_jobs{state="succeeded"}')" "$(sql 'SELECT count(*) FROM job WHERE state = 3')"
+check_equal "... queued ones" "$(metric 'brdfit_jobs{priority="batch",state="queued"}')" 0
 
 # ---- an end in mid-fit ----
 fit last "${long[@]}"
