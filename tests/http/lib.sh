@@ -91,7 +91,7 @@ wait_for_end() {
         ((SECONDS < end)) || return 1
         sleep 0.05
     done
-    wait "$1"
+    wait "$1" 2>/dev/null # it may have been waited for
     status=$?
 }
 
