@@ -24,13 +24,13 @@ Places::Taken Places::take(const std::string& client) {
         return refuse(api::problem_type("busy"), "the service has as many " + what_ + " as it can have");
     ++taken_;
     ++of_client;
-    const auto give_back = [this](const std::string* name) {
-        const std::unique_ptr<const std::string> owned(name);
-        const std::lock_guard back(mutex_);
-        --taken_;
-        if (--by_client_[*name] == 0) by_client_.erase(*name);
-    };
-    return {Place(new std::string(client), give_back), std::nullopt};  // NOLINT(*NewDeleteLeaks): give_back deletes it
+    return {Place(this, GiveBack{client}), std::nullopt};
+}
+
+void Places::give_back(const std::string& client) {
+    const std::lock_guard lock(mutex_);
+    --taken_;
+    if (--by_client_[client] == 0) by_client_.erase(client);
 }
 
 bool Rate::allows(const std::string& client, Clock::time_point now) {

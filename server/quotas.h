@@ -3,7 +3,6 @@
 
 #include <chrono>
 #include <cstddef>
-#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -26,8 +25,12 @@ public:
     /// what: of which there are so many, for people.
     Places(Share share, std::string what) : share_(share), what_(std::move(what)) {}
 
+    struct GiveBack {
+        std::string client;
+        void operator()(Places* places) const { places->give_back(client); }
+    };
     /// Given back when it goes.
-    using Place = std::unique_ptr<const std::string, std::function<void(const std::string*)>>;
+    using Place = std::unique_ptr<Places, GiveBack>;
     /// A place, or why there is none: 429 where the client has its share, 503 where all are taken.
     struct Taken {
         Place place;
@@ -36,6 +39,8 @@ public:
     [[nodiscard]] Taken take(const std::string& client);
 
 private:
+    void give_back(const std::string& client);
+
     Share share_;
     std::string what_;
     std::mutex mutex_;

@@ -18,7 +18,7 @@ void refuse_query(const Request& request) {
 }
 
 std::string body_type(const Request& request, std::initializer_list<std::string_view> accepted) {
-    const std::string type = media_type(request.content_type);
+    std::string type = media_type(request.content_type);
     if (std::find(accepted.begin(), accepted.end(), type) != accepted.end()) return type;
     std::string names;
     for (const std::string_view name : accepted) names += (names.empty() ? "" : ", ") + std::string(name);
