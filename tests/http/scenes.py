@@ -82,11 +82,11 @@ def hemisphere(theta_i_deg, pole_deg):
     cos theta_r."""
     pole = np.radians(abs(pole_deg))
     x, w = np.polynomial.legendre.leggauss(8)
-    near = np.geomspace(1e-6, 0.2, 10)                  # of a right angle, where broad lobes end steeply
-    edges = np.concatenate([[0.0], np.geomspace(1e-4, 0.3, 16), np.linspace(0.3, PI, 13)[1:],
-                            PI / 2 - near, [PI / 2], PI / 2 + near])
-    for kink in (PI / 2 - pole, PI / 2 + pole, 3 * PI / 2 - pole):  # where circles meet the horizon
-        edges = np.append(edges, kink)
+    # Broad lobes end steeply at a right angle; the others are where circles meet the horizon.
+    steep = [PI / 2, abs(PI / 2 - pole), PI / 2 + pole, 3 * PI / 2 - pole]
+    near = np.concatenate([[0.0], np.geomspace(1e-6, 0.2, 10)])
+    edges = np.concatenate([[0.0, PI], np.geomspace(1e-4, 0.3, 16), np.linspace(0.3, PI, 13)] +
+                           [at + side * near for at in steep for side in (-1, 1)])
     edges = np.unique(np.clip(edges, 0, PI))
     psi = np.concatenate([(a + b) / 2 + (b - a) / 2 * x for a, b in zip(edges, edges[1:])])
     weight = np.concatenate([(b - a) / 2 * w for a, b in zip(edges, edges[1:])])
