@@ -50,8 +50,8 @@ finish() {
     exit $((failed > 0))
 }
 
-# start_server [option...]: sets url, server (its process), store and log; false if it ends or does not answer in two minutes,
-# which a machine may need that has not yet compiled the kernels.
+# start_server [option...]: sets url, server (its process), store and log; false if it ends or does not answer in five minutes,
+# which a busy machine may need that has not yet compiled the kernels.
 start_server() {
     log=$work/server.${#servers[@]}.log
     store=${store_of_all:-$work/store.${#servers[@]}.db} # its own, unless a test says otherwise
@@ -59,7 +59,7 @@ start_server() {
     "$BRDFIT" serve --store "$store" --port 0 "$@" >"$log" 2>&1 &
     server=$!
     servers+=("$server")
-    local end=$((SECONDS + 120))
+    local end=$((SECONDS + 300))
     while ((SECONDS < end)); do
         url=$(sed -n 's|.* listens on \(http://127\.0\.0\.1:[0-9]*\).*|\1|p' "$log")
         [[ -z $url ]] || return 0
