@@ -5,6 +5,7 @@
 #include <cmath>
 #include <limits>
 #include <numbers>
+#include <optional>
 
 #include <boost/math/quadrature/gauss_kronrod.hpp>  // nodes and weights
 
@@ -55,18 +56,23 @@ struct Cell {
     double value = 0, size = 0;
     double error_s = std::numeric_limits<double>::infinity(), error_t = 0;  ///< of each rule
     bool known = false;
+    /// A cell about here was off by more than it told: there is a kink, at a critical angle or a lobe's edge.
+    bool kinked = false;
+    std::optional<double> whole{};  ///< of a first half: what both were before, until that is compared
+    double whole_error = 0;
 
-    /// What Kronrod's rule is off by: less than Gauss's where that is near already.
+    /// What Kronrod's rule is off by: less than Gauss's where that is near already, and the integrand is smooth.
     [[nodiscard]] double error() const {
         constexpr double kNear = 1e-4;
         const double gauss = std::max(error_s, error_t);
-        if (!(size > 0) || !std::isfinite(gauss)) return gauss;
+        if (kinked || !(size > 0) || !std::isfinite(gauss)) return gauss;
         return gauss * std::min(1.0, std::sqrt(gauss / size / kNear));
     }
     [[nodiscard]] std::array<Cell, 2> halves() const {
         Cell low;
-        low.s = s, low.s_size = s_size, low.t = t, low.t_size = t_size;
+        low.s = s, low.s_size = s_size, low.t = t, low.t_size = t_size, low.kinked = kinked;
         Cell high = low;
+        low.whole = value, low.whole_error = error();
         if (error_s >= error_t) {
             low.s_size = high.s_size = s_size / 2;
             high.s += s_size / 2;
@@ -279,6 +285,13 @@ struct Hemisphere::Impl : Transfers {
             cell.size = sums[3];
             cell.known = true;
             if (sums[4] > 0) albedos[cells[i].first->angle].negative = true;
+        }
+        for (std::size_t i = 0; i + 1 < cells.size(); ++i) {
+            Cell& low = *cells[i].second;
+            if (!low.whole) continue;
+            Cell& high = *cells[i + 1].second;  // they came together
+            if (std::abs(low.value + high.value - *low.whole) > low.whole_error) low.kinked = high.kinked = true;
+            low.whole.reset();
         }
     }
 

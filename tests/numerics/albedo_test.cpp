@@ -135,6 +135,60 @@ TEST(Albedo, AgreesWithAnotherQuadrature) {
     std::printf("worst difference %.2g\n", worst);
 }
 
+/// The integral in polar coordinates about the direction of incidence, on panels graded towards an angle from it.
+double about_incidence(const Case& c, double theta_i_deg, double kink_deg) {
+    using Gauss = boost::math::quadrature::gauss<double, 8>;
+    std::vector<Direction> directions;
+    std::vector<double> weights;
+    const auto each_node = [](const std::vector<double>& ends, const auto& use) {
+        for (std::size_t k = 0; k + 1 < ends.size(); ++k)
+            for (std::size_t i = 0; i < Gauss::abscissa().size(); ++i)
+                for (const double sign : {-1.0, 1.0})
+                    use((ends[k] + ends[k + 1]) / 2 + sign * Gauss::abscissa()[i] * (ends[k + 1] - ends[k]) / 2,
+                        Gauss::weights()[i] * (ends[k + 1] - ends[k]) / 2);
+    };
+    std::vector<double> angles = graded(0, 180, kink_deg);
+    for (double at = 1; at < 30; ++at) angles.push_back(at);  // the lobe
+    for (const double at : {90 - theta_i_deg, 90 + theta_i_deg})
+        for (const double end : graded(0, 180, at)) angles.push_back(end);
+    std::sort(angles.begin(), angles.end());
+    const double sin_i = std::sin(theta_i_deg * kRadian);
+    const double cos_i = std::cos(theta_i_deg * kRadian);
+    each_node(angles, [&](double psi_deg, double psi_weight) {
+        const double sin_psi = std::sin(psi_deg * kRadian);
+        const double cos_psi = std::cos(psi_deg * kRadian);
+        const double horizon = std::acos(std::clamp(cos_psi * cos_i / (sin_psi * sin_i), -1.0, 1.0)) / kRadian;
+        each_node(graded(horizon, 180, 180), [&](double chi_deg, double chi_weight) {
+            const double cos_chi = std::cos(chi_deg * kRadian);
+            const double z = cos_psi * cos_i - sin_psi * cos_chi * sin_i;
+            if (!(z > 0)) return;
+            const double x = -(cos_psi * sin_i + sin_psi * cos_chi * cos_i);  // incidence lies at negative x
+            const double y = sin_psi * std::sin(chi_deg * kRadian);
+            directions.push_back({theta_i_deg, std::atan2(std::hypot(x, y), z) / kRadian, std::atan2(y, x) / kRadian});
+            weights.push_back(2 * psi_weight * chi_weight * kRadian * kRadian * sin_psi * z);
+        });
+    });
+    const auto values =
+        kernels::evaluate(engine(), variant(c.model), engine().best_precision(), c.parameters, directions, false);
+    double sum = 0;
+    for (std::size_t i = 0; i < weights.size(); ++i) sum += weights[i] * values.f[i];
+    return sum;
+}
+
+/// Less than n = 1 without k: beyond the critical angle all is reflected, and Fresnel's factor has a kink there.
+TEST(Albedo, KnowsWhatAKinkCosts) {
+    for (const double n : {0.0787, 0.3}) {
+        const Case total{"he_torrance", {0.1407, 36.55, n, 0, 1}};
+        const double kink_deg = 2 * std::asin(n) / kRadian;
+        for (const double theta_i_deg : {5.0, kink_deg / 2 + 0.5}) {
+            const Albedo found = albedos(total, {theta_i_deg}).front();
+            const double reference = about_incidence(total, theta_i_deg, kink_deg);
+            EXPECT_NEAR(found.value, reference, optim::kAlbedoTolerance * reference) << n << ' ' << theta_i_deg;
+            EXPECT_NEAR(found.value, reference, found.error) << n << ' ' << theta_i_deg;
+        }
+    }
+}
+
 TEST(Albedo, IsWhatClosedFormsSayAtNormalIncidence) {
     for (const double n : {0.5, 30.0, 1e4, 1e5})
         EXPECT_NEAR(albedos({"phong", {0.2, 0.5, n}}, {0}).front().value, 0.2 + 0.5 * (n + 1) / (n + 2), 1e-5);
