@@ -29,10 +29,10 @@ struct SineCosine {
 SineCosine sine_cosine(long double x) {
     static const std::array<long double, 91> kSine = sines();
     const long double a = std::abs(x);
-    const int whole = static_cast<int>(static_cast<double>(a) + 0.5);
+    const long whole = std::lround(static_cast<double>(a));
     const long double s = kSine[static_cast<std::size_t>(whole)];
     const long double c = kSine[static_cast<std::size_t>(90 - whole)];
-    const long double r = (a - whole) * kRadian;
+    const long double r = (a - static_cast<long double>(whole)) * kRadian;
     const long double z = r * r;
     const long double sin_r = r - r * z * (1 / 6.0L - z * (1 / 120.0L - z * (1 / 5040.0L)));
     const long double cos_r_1 = -z * (0.5L - z * (1 / 24.0L - z * (1 / 720.0L)));

@@ -56,7 +56,7 @@ std::string none_good_enough(const Scene& scene, const std::vector<Fit>& fits, c
     };
     if (cheapest != points.end()) {
         const double most_ns = *scene.max_ns_per_evaluation;
-        const std::string reason = fmt::format(
+        std::string reason = fmt::format(
             "no model here is cheap enough: {} is the cheapest within {:g} decades, but takes {:.3g} ns an evaluation, "
             "and {:g} can be paid",
             name_of(fits[cheapest->fit]), scene.tolerance_log10, cheapest->ns_per_evaluation, most_ns);

@@ -100,10 +100,10 @@ private:
                 for (std::size_t seed = 1; seed <= seeds; ++seed)
                     runs[{effort, arithmetic}].push_back(run(dataset, model, {effort, arithmetic}, seed));
             }
-        const Run* best = nullptr;
+        const Run* best = &runs.begin()->second.front();
         for (const auto& [setting, of_seeds] : runs)
             for (const Run& run : of_seeds)
-                if (best == nullptr || run.loss < best->loss) best = &run;
+                if (run.loss < best->loss) best = &run;
         const std::string name = kernels::variant_name(best->fit.model, best->fit.lobes);
         for (const auto& [setting, of_seeds] : runs)
             result_.cells.push_back(cell(dataset.name, name, setting, of_seeds, best->loss));
