@@ -35,6 +35,9 @@ constexpr Index kMostNear = 2;
 /// Standard errors within which a bound is near.
 constexpr double kNear = 3;
 constexpr std::size_t kDraws = 500;
+/// By what noise elsewhere is more than at the estimate so that it counts. Less does not: at an estimate it is as often
+/// too large as too small, which makes up for it.
+constexpr double kMuchMore = 1.3;
 using Few = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMostNear + 1, 1>;
 using FewByFew = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kMostNear + 1, kMostNear + 1>;
 
@@ -131,6 +134,13 @@ public:
 private:
     class End;
 
+    /// A place on the way to another unknown's end: as far from the minimum as noise may well bring it.
+    struct Elsewhere {
+        Place place;
+        Index psi;     ///< whose end
+        double share;  ///< of what the loss rises by up to there
+    };
+
     [[nodiscard]] Index count() const { return static_cast<Index>(m_.unknowns.size()); }
 
     Place look(const VectorXd& z) {
@@ -164,6 +174,14 @@ private:
         const MatrixXd shaken = noise.asDiagonal() * rows;
         result.b = shaken.transpose() * shaken;
         return result;
+    }
+
+    [[nodiscard]] static bool is_finite(const Place& place) {
+        return std::isfinite(place.loss2) && place.a.allFinite() && place.g.allFinite();
+    }
+    [[nodiscard]] VectorXd bounded(VectorXd z) const {
+        for (Index i = 0; i < count(); ++i) z(i) = std::clamp(z(i), lower_[at(i)], upper_[at(i)]);
+        return z;
     }
 
     /// What the others do where one unknown moves by a step: the minimum of the loss's quadratic form within bounds.
@@ -256,6 +274,26 @@ private:
         return result;
     }
 
+    /// What one standard error of an unknown lifts the loss by where other unknowns' profiles lead, less the share of
+    /// it that it took to get there: the most there is. Noise shakes an estimate as it does at the truth, and an
+    /// interval that is narrow where the others are found to be may be wide where they are.
+    [[nodiscard]] double noise_elsewhere(Index psi, const std::vector<Elsewhere>& places) const {
+        double most = 0;
+        for (const Elsewhere& elsewhere : places) {
+            if (elsewhere.psi == psi) continue;
+            const double noise = (1 - elsewhere.share) * respond(elsewhere.place, psi, 0, 0).noise;
+            if (std::isfinite(noise)) most = std::max(most, noise);
+        }
+        return most;
+    }
+
+    /// Whether at a place any unknown but one sees much more noise than at the minimum.
+    [[nodiscard]] bool has_more_noise(const Place& place, Index but) const {
+        for (Index i = 0; i < count(); ++i)
+            if (i != but && respond(place, i, 0, 0).noise > kMuchMore * respond(start_, i, 0, 0).noise) return true;
+        return false;
+    }
+
     /// From a place to an unknown's bound, in that unit of it.
     [[nodiscard]] double room(const Place& here, Index i, double unit, bool up) const {
         return (up ? upper_[at(i)] - here.z(i) : lower_[at(i)] - here.z(i)) / unit;
@@ -309,9 +347,8 @@ private:
             const Place& at_hand = result ? *result : from;
             const double by = lower_[at(i)] - at_hand.z(i);
             VectorXd z = at_hand.z + respond(at_hand, i, by, damping).step;
-            for (Index j = 0; j < count(); ++j) z(j) = std::clamp(z(j), lower_[at(j)], upper_[at(j)]);
-            Place there = look(z);
-            if (!std::isfinite(there.loss2) || !there.a.allFinite() || !there.g.allFinite()) break;
+            Place there = look(bounded(std::move(z)));
+            if (!is_finite(there)) break;
             const double gain = at_hand.loss2 - there.loss2;
             if (!result || gain > 0) {
                 const bool done = result && gain <= close;
@@ -422,20 +459,55 @@ public:
           reach_(standard_errors_of_interval(degrees_)),
           most_(size_) {}
 
-    /// On the unknown's own scale; none if the time is over.
-    std::optional<double> find() {
+    void find() { end_ = centre_ == bound_ ? bound_ : search(true); }
+    /// On the unknown's own scale; none if the time was over.
+    [[nodiscard]] std::optional<double> z() const { return end_; }
+    [[nodiscard]] Index psi() const { return psi_; }
+
+    /// Adds places on the way to the end, by the bend that the valley has up to there.
+    void add_places(std::vector<Elsewhere>& all) const {
+        constexpr std::array kParts{0.35, 0.65};  // of the way
+        if (!found_ || !profile_.has_more_noise(from_, psi_)) return;
+        const double whole = from_.z(psi_) - centre_;
+        const VectorXd bend = from_.z - profile_.start_.z - whole * first_.along;
+        for (const double part : kParts) {
+            Place there =
+                profile_.look(profile_.bounded(profile_.start_.z + part * whole * first_.along + part * part * bend));
+            if (!is_finite(there)) continue;
+            const double share = std::max(profile_.respond(there, psi_, 0, 0).loss2 - least_, 0.0) / allowed();
+            if (share < 1) all.push_back({std::move(there), psi_, share});
+        }
+    }
+
+    /// Finds the end anew, farther out, if elsewhere one standard error lifts the loss by so much that it matters.
+    /// noise: the most that is left for this unknown.
+    void allow_for(double noise) {
+        const double t = standard_errors_of_interval(degrees_);
+        if (!found_ || !(t * t * noise > kMuchMore * allowed())) return;
+        floor_ = t * t * noise;
+        bracket_ = Bracket(centre_, side_);
+        judged_ = NAN;
+        const auto farther = search(false);
+        if (farther && side_ * (*farther - *end_) > 0) end_ = farther;
+    }
+
+private:
+    static constexpr double kClose = 0.02;
+
+    std::optional<double> search(bool at_start) {
         constexpr int kMostLooks = 40;
-        if (centre_ == bound_) return bound_;
-        for (int k = 0; k < kMostLooks; ++k) {
+        found_ = false;
+        for (int k = 0; k < kMostLooks; ++k, at_start = false) {
             if (profile_.m_.task.control.over()) return std::nullopt;
-            judge(k == 0);
+            judge(at_start);
             double to = from_.z(psi_);
             if (settled_) {
                 if (root_ < reach_ && to == bound_) return bound_;
                 follow();
                 bracket_.add(to, root_ - reach_);
-                to = next(k == 0);
-                if (k > 0 && std::abs(reach_ - root_) <= kClose * reach_) return to;
+                to = next(at_start);
+                found_ = !at_start && std::abs(reach_ - root_) <= kClose * reach_;
+                if (found_) return to;
                 if (bracket_.closed()) return bracket_.inner();
                 to = bracket_.narrowed(to, from_.z(psi_), most_);
             }
@@ -443,9 +515,6 @@ public:
         }
         return linear();
     }
-
-private:
-    static constexpr double kClose = 0.02;
 
     /// What is known of where the end lies.
     class Bracket {
@@ -487,16 +556,20 @@ private:
                                       : first_.noise;
         unit_ = std::max(here_.noise, 1e-300);
         root_ = std::sqrt(std::max(here_.loss2 - least_, 0.0) / unit_);
+        reach_ = std::max(reach_, std::sqrt(floor_ / unit_));
         settled_ = at_start || follows();
         if (at_start || !settled_ || std::abs(reach_ - root_) >= 0.4 * reach_ || from_.z(psi_) == judged_) return;
         // The noise at the estimate or here, whichever is more: bent, the profile shows both.
         const double more = std::max(1.0, first_.noise / here_.noise);
-        reach_ = std::sqrt(more * profile_.safe_threshold(from_, psi_, here_.noise, degrees_, close()) / unit_);
+        reach_ = std::sqrt(
+            std::max(more * profile_.safe_threshold(from_, psi_, here_.noise, degrees_, close()), floor_) / unit_);
         settled_ = follows();
         judged_ = from_.z(psi_);
     }
-    /// Of the loss: what is hardly more than nothing.
-    [[nodiscard]] double close() const { return kClose * reach_ * reach_ * unit_; }
+    /// By what loss^2 may rise.
+    [[nodiscard]] double allowed() const { return reach_ * reach_ * unit_; }
+    /// Of that what is hardly more than nothing.
+    [[nodiscard]] double close() const { return kClose * allowed(); }
     [[nodiscard]] bool follows() const { return still_ || from_.loss2 - here_.loss2 <= close(); }
 
     /// Learns how the valley bends.
@@ -515,7 +588,7 @@ private:
         double to = z;
         if (at_start || root_ < 1e-3) {
             const double off = std::max(outward, 0.0);  // rise = 2 off x + curvature x^2
-            to += side_ * (-off + std::sqrt(off * off + here_.curvature * (reach_ * reach_ * unit_))) / here_.curvature;
+            to += side_ * (-off + std::sqrt(off * off + here_.curvature * allowed())) / here_.curvature;
         } else if (outward > 0) {
             to += side_ * (reach_ - root_) * root_ * unit_ / outward;
         } else {
@@ -534,9 +607,7 @@ private:
         const VectorXd step = whole * factor;
         const Place there = profile_.look(landing(step, to, by, factor));
         const double expected = from_.loss2 + 2 * from_.g.dot(step) + step.dot((from_.a + profile_.m_.misfit) * step);
-        const double enough = reach_ * reach_ * unit_;
-        const bool finite = std::isfinite(there.loss2) && there.a.allFinite() && there.g.allFinite();
-        if (finite && (by == 0 ? there.loss2 <= from_.loss2 : there.loss2 - expected <= 0.5 * enough)) {
+        if (is_finite(there) && (by == 0 ? there.loss2 <= from_.loss2 : there.loss2 - expected <= 0.5 * allowed())) {
             still_ = by == 0 && from_.loss2 - there.loss2 <= 0.25 * close();
             from_ = there;
             damping_ = damping_ > 1e-3 ? damping_ / 5 : 0;
@@ -573,8 +644,7 @@ private:
             more(psi_) = 0;
             if (more.cwiseAbs().maxCoeff() < step.cwiseAbs().maxCoeff()) z += more;
         }
-        for (Index i = 0; i < profile_.count(); ++i)
-            z(i) = std::clamp(z(i), profile_.lower_[at(i)], profile_.upper_[at(i)]);
+        z = profile_.bounded(std::move(z));
         if (factor == 1) z(psi_) = to;
         return z;
     }
@@ -591,8 +661,11 @@ private:
     Index psi_;
     int side_;
     double bound_, centre_, size_, degrees_;
-    Response first_;  ///< at the minimum
-    double least_;    ///< loss^2
+    std::optional<double> end_;
+    bool found_ = false;  ///< to where the rise is what it may be
+    double floor_ = 0;    ///< of what loss^2 may rise by
+    Response first_;      ///< at the minimum
+    double least_;        ///< loss^2
     Bracket bracket_;
     // Where the search stands.
     Place from_;
@@ -615,12 +688,20 @@ private:
 std::vector<std::optional<std::array<double, 2>>> Profile::intervals() {
     std::vector<std::optional<std::array<double, 2>>> result(m_.unknowns.size());
     if (!std::isfinite(start_.loss2) || !start_.a.allFinite()) return result;
-    for (Index i = 0; i < count(); ++i) {
-        const Coordinate& c = m_.unknowns[at(i)];
-        if (!c.parameter) continue;
-        const auto low = End(*this, i, -1).find();
-        const auto high = End(*this, i, 1).find();
+    std::vector<End> ends;
+    for (Index i = 0; i < count(); ++i)
+        if (m_.unknowns[at(i)].parameter)
+            for (const int side : {-1, 1}) ends.emplace_back(*this, i, side);
+    for (End& end : ends) end.find();
+    std::vector<Elsewhere> elsewhere;
+    for (const End& end : ends) end.add_places(elsewhere);
+    for (std::size_t k = 0; k < ends.size(); k += 2) {
+        const double noise = noise_elsewhere(ends[k].psi(), elsewhere);
+        for (const std::size_t side : {k, k + 1}) ends[side].allow_for(noise);
+        const auto low = ends[k].z(), high = ends[k + 1].z();
         if (!low || !high) continue;
+        const Index i = ends[k].psi();
+        const Coordinate& c = m_.unknowns[at(i)];
         const Interval& bounds = m_.bounds[at(i)];
         const auto value = [&](double z) {
             if (z <= lower_[at(i)]) return bounds.min;
