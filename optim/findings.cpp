@@ -207,7 +207,10 @@ void add_parameters(const Work& work, Variant& variant) {
         else if (uncertainty.too_few && !parameter.at_bound) without += (without.empty() ? "" : ", ") + parameter.name;
         if (known.std_error) parameter.std_error = *known.std_error / units[i];
         if (!known.interval_95) continue;
-        parameter.interval_95 = resampled.empty() ? known.interval_95 : resampled[i];
+        parameter.interval_95 = known.interval_95;
+        if (!resampled.empty())  // about the estimate, which knows less of bounds and bent valleys than a profile
+            parameter.interval_95 = {std::min((*known.interval_95)[0], resampled[i][0]),
+                                     std::max((*known.interval_95)[1], resampled[i][1])};
         for (double& end : *parameter.interval_95) end = end / units[i] + 0.0;
     }
     if (!without.empty())

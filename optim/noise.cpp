@@ -105,34 +105,44 @@ struct Sizes {
     double covariance = 0;
 };
 
-/// Maximum likelihood under a mixture: Gaussian noise, and among it differences of any size (Cauchy's density) where
-/// the curve is not smooth. By expectation and maximisation.
-Sizes sizes_of(const std::vector<Window>& windows, double least) {
-    constexpr double kWidth = 5;     // of the foreign differences, in sigma
+/// The difference to judge a window by, if noise is of those sizes.
+const Difference& form_of(const Window& w, const Sizes& sizes) {
     constexpr double kSurely = 0.2;  // relative noise up to which logarithms are as good as linear
+    const double error2 = w.least > 0 ? sizes.floor / (w.least * w.least) + sizes.relative : HUGE_VAL;
+    return w.logarithmic && error2 < kSurely * kSurely ? *w.logarithmic : w.linear;
+}
+
+/// A difference under a mixture: Gaussian noise, and among it differences of any size (Cauchy's density) where the
+/// curve is not smooth.
+struct Mixture {
+    double variance, gauss, cauchy;
+
+    Mixture(const Difference& d, const Sizes& at) : variance(d.floor * at.floor + d.relative * at.relative + 1e-300) {
+        constexpr double kWidth = 5;  // of the foreign differences, in sigma
+        const double z2 = d.r2 / variance;
+        gauss = (1 - at.foreign) * std::exp(-z2 / 2) / std::sqrt(2 * std::numbers::pi);
+        cauchy = at.foreign / (std::numbers::pi * kWidth * (1 + z2 / (kWidth * kWidth)));
+    }
+};
+
+/// A floor that is not there: a hundredth of the noise of the least value.
+double no_floor(double relative, double least) { return 1e-4 * relative * least * least; }
+
+/// Maximum likelihood by expectation and maximisation, with a floor or without; `forms`: the sizes that tell which form
+/// of each difference counts, those found if null.
+Sizes likeliest(const std::vector<Window>& windows, double least, Sizes at, bool with_floor, const Sizes* forms) {
     constexpr int kRounds = 200;
-    std::vector<double> ratios;
-    for (const Window& w : windows) ratios.push_back(w.linear.r2 / std::max(w.linear.relative, 1e-300));
-    const auto middle = ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() / 2);
-    std::nth_element(ratios.begin(), middle, ratios.end());
-    constexpr double kMedian = 0.4549;  // of chi^2 with one degree of freedom
     constexpr double kLeast = kRounding * kRounding;
-    Sizes at{0, std::max(*middle / kMedian, kLeast), 0.1};
-    at.floor = at.relative * least * least / 100;
     double ff = 0, fr = 0, rr = 0;  // information on both, of their logarithms
     for (int round = 0; round < kRounds; ++round) {
         double aa = 0, aq = 0, qq = 0, ar = 0, qr = 0, noise = 0;
         for (const Window& w : windows) {
-            const double error2 = w.least > 0 ? at.floor / (w.least * w.least) + at.relative : HUGE_VAL;
-            const Difference& d = w.logarithmic && error2 < kSurely * kSurely ? *w.logarithmic : w.linear;
-            const double variance = d.floor * at.floor + d.relative * at.relative + 1e-300;
-            const double z2 = d.r2 / variance;
-            const double gauss = (1 - at.foreign) * std::exp(-z2 / 2) / std::sqrt(2 * std::numbers::pi);
-            const double cauchy = at.foreign / (std::numbers::pi * kWidth * (1 + z2 / (kWidth * kWidth)));
-            const double p = gauss / (gauss + cauchy);
+            const Difference& d = form_of(w, forms != nullptr ? *forms : at);
+            const Mixture mixture(d, at);
+            const double p = mixture.gauss / (mixture.gauss + mixture.cauchy);
             noise += p;
             // Scoring: r^2 regressed on its expectation, by the inverse of its variance.
-            const double weight = p / (variance * variance);
+            const double weight = p / (mixture.variance * mixture.variance);
             aa += weight * d.floor * d.floor;
             aq += weight * d.floor * d.relative;
             qq += weight * d.relative * d.relative;
@@ -141,12 +151,13 @@ Sizes sizes_of(const std::vector<Window>& windows, double least) {
         }
         const Sizes before = at;
         const double determinant = aa * qq - aq * aq;
-        at.floor = determinant > 1e-12 * aa * qq ? (ar * qq - qr * aq) / determinant : 0;
-        at.relative = determinant > 1e-12 * aa * qq ? (aa * qr - aq * ar) / determinant : 0;
+        const bool both = with_floor && determinant > 1e-12 * aa * qq;
+        at.floor = both ? (ar * qq - qr * aq) / determinant : 0;
+        at.relative = both ? (aa * qr - aq * ar) / determinant : 0;
         if (!(at.floor > 0)) at.floor = 0, at.relative = qq > 0 ? qr / qq : 0;
         else if (!(at.relative > 0)) at.relative = 0, at.floor = aa > 0 ? ar / aa : 0;
         at.relative = std::max(at.relative, kLeast);
-        at.floor = std::max(at.floor, 1e-4 * at.relative * least * least);
+        at.floor = std::max(at.floor, no_floor(at.relative, least));
         ff = aa * at.floor * at.floor;
         fr = aq * at.floor * at.relative;
         rr = qq * at.relative * at.relative;
@@ -157,7 +168,7 @@ Sizes sizes_of(const std::vector<Window>& windows, double least) {
     // What is hardly there is known to be so: then the other is alone.
     constexpr double kAlone = 1e-6;
     const double determinant = ff * rr - fr * fr;
-    if (determinant > kAlone * ff * rr && ff > kAlone * rr && rr > kAlone * ff) {
+    if (with_floor && determinant > kAlone * ff * rr && ff > kAlone * rr && rr > kAlone * ff) {
         at.floor_variance = 2 * kOverlap * rr / determinant;
         at.relative_variance = 2 * kOverlap * ff / determinant;
         at.covariance = -2 * kOverlap * fr / determinant;
@@ -165,6 +176,32 @@ Sizes sizes_of(const std::vector<Window>& windows, double least) {
         at.floor_variance = at.relative_variance = at.covariance = 2 * kOverlap / std::max({ff, rr, 1e-300});
     }
     return at;
+}
+
+/// -2 ln L of that many independent differences as the overlapping ones are worth.
+double deviance(const std::vector<Window>& windows, const Sizes& sizes, const Sizes& forms) {
+    double sum = 0;
+    for (const Window& w : windows) {
+        const Mixture mixture(form_of(w, forms), sizes);
+        sum -= 2 * std::log(std::max(mixture.gauss + mixture.cauchy, 1e-300)) - std::log(mixture.variance);
+    }
+    return sum / kOverlap;
+}
+
+/// The likeliest sizes, without a floor where the differences do not tell one: beside it the relative part would come
+/// out low.
+Sizes sizes_of(const std::vector<Window>& windows, double least) {
+    constexpr double kEvidence = 2;  // Akaike's criterion
+    std::vector<double> ratios;
+    for (const Window& w : windows) ratios.push_back(w.linear.r2 / std::max(w.linear.relative, 1e-300));
+    const auto middle = ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() / 2);
+    std::nth_element(ratios.begin(), middle, ratios.end());
+    constexpr double kMedian = 0.4549;  // of chi^2 with one degree of freedom
+    Sizes start{0, std::max(*middle / kMedian, kRounding * kRounding), 0.1};
+    start.floor = start.relative * least * least / 100;
+    const Sizes both = likeliest(windows, least, start, true, nullptr);
+    const Sizes alone = likeliest(windows, least, start, false, &both);
+    return deviance(windows, both, both) + kEvidence < deviance(windows, alone, both) ? both : alone;
 }
 
 }  // namespace

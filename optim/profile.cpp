@@ -35,6 +35,9 @@ constexpr Index kMostNear = 2;
 /// Standard errors within which a bound is near.
 constexpr double kNear = 3;
 constexpr std::size_t kDraws = 500;
+/// By what noise elsewhere is more than at the estimate so that it counts. Less does not: at an estimate it is as often
+/// too large as too small, which makes up for it.
+constexpr double kMuchMore = 1.3;
 using Few = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, kMostNear + 1, 1>;
 using FewByFew = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, kMostNear + 1, kMostNear + 1>;
 
@@ -126,26 +129,18 @@ public:
         start_ = look(z);
     }
 
-    std::vector<std::optional<std::array<double, 2>>> intervals() {
-        std::vector<std::optional<std::array<double, 2>>> result(m_.unknowns.size());
-        if (!std::isfinite(start_.loss2) || !start_.a.allFinite()) return result;
-        for (Index i = 0; i < count(); ++i) {
-            const Coordinate& c = m_.unknowns[at(i)];
-            if (!c.parameter) continue;
-            const auto low = end(i, -1);
-            const auto high = end(i, 1);
-            if (!low || !high) continue;
-            const Interval& bounds = m_.bounds[at(i)];
-            const auto value = [&](double z) {
-                if (z <= lower_[at(i)]) return bounds.min;
-                return z >= upper_[at(i)] ? bounds.max : std::clamp(c.value(z), bounds.min, bounds.max);
-            };
-            result[at(i)] = {std::min(value(*low), c.p), std::max(value(*high), c.p)};
-        }
-        return result;
-    }
+    std::vector<std::optional<std::array<double, 2>>> intervals();
 
 private:
+    class End;
+
+    /// A place on the way to another unknown's end: as far from the minimum as noise may well bring it.
+    struct Elsewhere {
+        Place place;
+        Index psi;     ///< whose end
+        double share;  ///< of what the loss rises by up to there
+    };
+
     [[nodiscard]] Index count() const { return static_cast<Index>(m_.unknowns.size()); }
 
     Place look(const VectorXd& z) {
@@ -179,6 +174,14 @@ private:
         const MatrixXd shaken = noise.asDiagonal() * rows;
         result.b = shaken.transpose() * shaken;
         return result;
+    }
+
+    [[nodiscard]] static bool is_finite(const Place& place) {
+        return std::isfinite(place.loss2) && place.a.allFinite() && place.g.allFinite();
+    }
+    [[nodiscard]] VectorXd bounded(VectorXd z) const {
+        for (Index i = 0; i < count(); ++i) z(i) = std::clamp(z(i), lower_[at(i)], upper_[at(i)]);
+        return z;
     }
 
     /// What the others do where one unknown moves by a step: the minimum of the loss's quadratic form within bounds.
@@ -271,6 +274,26 @@ private:
         return result;
     }
 
+    /// What one standard error of an unknown lifts the loss by where other unknowns' profiles lead, less the share of
+    /// it that it took to get there: the most there is. Noise shakes an estimate as it does at the truth, and an
+    /// interval that is narrow where the others are found to be may be wide where they are.
+    [[nodiscard]] double noise_elsewhere(Index psi, const std::vector<Elsewhere>& places) const {
+        double most = 0;
+        for (const Elsewhere& elsewhere : places) {
+            if (elsewhere.psi == psi) continue;
+            const double noise = (1 - elsewhere.share) * respond(elsewhere.place, psi, 0, 0).noise;
+            if (std::isfinite(noise)) most = std::max(most, noise);
+        }
+        return most;
+    }
+
+    /// Whether at a place any unknown but one sees much more noise than at the minimum.
+    [[nodiscard]] bool has_more_noise(const Place& place, Index but) const {
+        for (Index i = 0; i < count(); ++i)
+            if (i != but && respond(place, i, 0, 0).noise > kMuchMore * respond(start_, i, 0, 0).noise) return true;
+        return false;
+    }
+
     /// From a place to an unknown's bound, in that unit of it.
     [[nodiscard]] double room(const Place& here, Index i, double unit, bool up) const {
         return (up ? upper_[at(i)] - here.z(i) : lower_[at(i)] - here.z(i)) / unit;
@@ -324,9 +347,8 @@ private:
             const Place& at_hand = result ? *result : from;
             const double by = lower_[at(i)] - at_hand.z(i);
             VectorXd z = at_hand.z + respond(at_hand, i, by, damping).step;
-            for (Index j = 0; j < count(); ++j) z(j) = std::clamp(z(j), lower_[at(j)], upper_[at(j)]);
-            Place there = look(z);
-            if (!std::isfinite(there.loss2) || !there.a.allFinite() || !there.g.allFinite()) break;
+            Place there = look(bounded(std::move(z)));
+            if (!is_finite(there)) break;
             const double gain = at_hand.loss2 - there.loss2;
             if (!result || gain > 0) {
                 const bool done = result && gain <= close;
@@ -412,127 +434,283 @@ private:
         return *place * wider * wider;
     }
 
-    /// The end of the unknown's interval to a side; none if the time is over.
-    std::optional<double> end(Index psi, int side) {
-        constexpr int kMostLooks = 40;
-        constexpr double kClose = 0.02;
-        constexpr double kMostChange = 3;  // of noise, from the estimate on: beyond, a term has vanished
-        const double bound = side < 0 ? lower_[at(psi)] : upper_[at(psi)];
-        const double centre = start_.z(psi);
-        if (centre == bound) return bound;
-        const double size = m_.unknowns[at(psi)].size(m_.task.model);
-        const double degrees = std::max(m_.degrees[at(psi)], 1.0);
-        Place from = start_;
-        const Response first = respond(start_, psi, 0, 0);
-        const double least = std::min(start_.loss2, first.loss2);
-        VectorXd before_along, bend;
-        double before_z = NAN;
-        double inner = centre;                                     // of the interval
-        double outer = side * HUGE_VAL;                            // not of it
-        double inner_excess = -HUGE_VAL, outer_excess = HUGE_VAL;  // of the root over its reach
-        double most = size;
-        double damping = 0;
-        bool still = false, refused = false;
-        double reach = standard_errors_of_interval(degrees);
-        double judged = NAN;  // where reach was found
-        for (int k = 0; k < kMostLooks; ++k) {
-            if (m_.task.control.over()) return std::nullopt;
-            Response here = respond(from, psi, 0, 0);
-            if (still) here.loss2 = from.loss2;
-            here.noise = here.noise > 0 ? std::clamp(here.noise, first.noise / kMostChange, first.noise * kMostChange)
-                                        : first.noise;
-            const double z = from.z(psi);
-            const double rise = std::max(here.loss2 - least, 0.0);
-            const double unit = std::max(here.noise, 1e-300);
-            const double root = std::sqrt(rise / unit);
-            bool settled = k == 0 || still || from.loss2 - here.loss2 <= kClose * reach * reach * unit;
-            if (k > 0 && settled && std::abs(reach - root) < 0.4 * reach && z != judged) {
-                // The noise at the estimate or here, whichever is more: bent, the profile shows both.
-                const double more = std::max(1.0, first.noise / here.noise);
-                reach = std::sqrt(more * safe_threshold(from, psi, here.noise, degrees, kClose * reach * reach * unit) /
-                                  unit);
-                settled = still || from.loss2 - here.loss2 <= kClose * reach * reach * unit;
-                judged = z;
-            }
-            const double enough = reach * reach * unit;
-            double to = z;
-            if (settled) {
-                if (std::isfinite(before_z) && z != before_z) bend = (here.along - before_along) / (z - before_z);
-                if (!(z == before_z)) before_z = z, before_along = here.along;
-                if (root < reach && z == bound) return bound;
-                if (root < reach && side * (z - inner) > 0) inner = z, inner_excess = root - reach;
-                if (root >= reach && side * (outer - z) > 0) outer = z, outer_excess = root - reach;
-                const double outward = side * here.slope;  // half the slope of the rise
-                if (k == 0 || root < 1e-3) {
-                    const double off = std::max(outward, 0.0);  // rise = 2 off x + curvature x^2
-                    to = z + side * (-off + std::sqrt(off * off + here.curvature * enough)) / here.curvature;
-                } else if (outward > 0) {
-                    to = z + side * (reach - root) * root * unit / outward;  // Newton's step: the root is nearly linear
-                } else {
-                    to = z + side * std::max(std::abs(z - centre), 0.1 * size);
-                }
-                if (!std::isfinite(to)) to = z + side * size;
-                to = std::clamp(to, lower_[at(psi)], upper_[at(psi)]);
-                if (k > 0 && std::abs(reach - root) <= kClose * reach) return to;
-                const double far = most;
-                to = std::clamp(to, z - far, z + far);
-                if (side * (to - inner) < 0) to = inner;
-                if (std::isfinite(outer)) {  // between what is known
-                    const double share = std::isfinite(inner_excess)
-                                             ? std::clamp(inner_excess / (inner_excess - outer_excess), 0.1, 0.9)
-                                             : 0.5;
-                    to = inner + share * (outer - inner);
-                    to = std::clamp(to, z - most, z + most);
-                }
-                if (std::abs(outer - inner) < 1e-3 * std::abs(outer - centre)) return inner;
-            }
-            const double by = to - z;
-            if (by != 0 && still) {  // at the minimum, whatever the quadratic form says
-                for (Index i = 0; i < count(); ++i)
-                    if (i != psi && from.z(i) > lower_[at(i)] && from.z(i) < upper_[at(i)]) from.g(i) = 0;
-            }
-            Response next = respond(from, psi, by, damping);
-            double factor = 1;
-            for (Index i = 0; i < count(); ++i)
-                if (i != psi)
-                    factor = std::min(
-                        factor, m_.unknowns[at(i)].size(m_.task.model) / std::max(std::abs(next.step(i)), 1e-300));
-            const VectorXd step = next.step * factor;
-            VectorXd z_next = from.z + step;
-            if (by != 0 && bend.size() > 0 && factor == 1) {
-                VectorXd more = 0.5 * by * by * bend;
-                more(psi) = 0;
-                if (more.cwiseAbs().maxCoeff() < step.cwiseAbs().maxCoeff()) z_next += more;
-            }
-            for (Index i = 0; i < count(); ++i) z_next(i) = std::clamp(z_next(i), lower_[at(i)], upper_[at(i)]);
-            if (factor == 1) z_next(psi) = to;
-            const double expected = from.loss2 + 2 * from.g.dot(step) + step.dot((from.a + m_.misfit) * step);
-            Place there = look(z_next);
-            const bool finite = std::isfinite(there.loss2) && there.a.allFinite() && there.g.allFinite();
-            const bool fine = finite && (by == 0 ? there.loss2 <= from.loss2 : there.loss2 - expected <= 0.5 * enough);
-            if (fine) {
-                still = by == 0 && from.loss2 - there.loss2 <= 0.25 * kClose * enough;
-                from = std::move(there);
-                damping = damping > 1e-3 ? damping / 5 : 0;
-                if (by != 0) most = std::max(most, (refused ? 1.3 : 2) * std::abs(by)), refused = false;
-            } else if (by == 0) {
-                still = damping > 1e4;
-                damping = std::max(1e-2, 5 * damping);
-            } else {
-                most = 0.35 * std::abs(by) * factor, refused = true;
-            }
-        }
-        const double wald =
-            std::clamp(centre + side * standard_errors_of_interval(degrees) * std::sqrt(first.noise / first.curvature),
-                       lower_[at(psi)], upper_[at(psi)]);
-        return side * (wald - inner) > 0 ? wald : inner;
-    }
-
     const Minimised& m_;
     Refitter& refitter_;
     std::vector<double> lower_, upper_;
     Place start_;
 };
+
+/// One end of an unknown's interval: where the profile of the loss has risen as far as noise lifts it. Newton's method
+/// on the root of the rise, which is nearly linear, the others following by damped Gauss-Newton steps.
+class Profile::End {
+public:
+    End(Profile& profile, Index psi, int side)
+        : profile_(profile),
+          psi_(psi),
+          side_(side),
+          bound_((side < 0 ? profile.lower_ : profile.upper_)[at(psi)]),
+          centre_(profile.start_.z(psi)),
+          size_(profile.m_.unknowns[at(psi)].size(profile.m_.task.model)),
+          degrees_(std::max(profile.m_.degrees[at(psi)], 1.0)),
+          first_(profile.respond(profile.start_, psi, 0, 0)),
+          least_(std::min(profile.start_.loss2, first_.loss2)),
+          bracket_(centre_, side),
+          from_(profile.start_),
+          reach_(standard_errors_of_interval(degrees_)),
+          most_(size_) {}
+
+    void find() { end_ = centre_ == bound_ ? bound_ : search(true); }
+    /// On the unknown's own scale; none if the time was over.
+    [[nodiscard]] std::optional<double> z() const { return end_; }
+    [[nodiscard]] Index psi() const { return psi_; }
+
+    /// Adds places on the way to the end, by the bend that the valley has up to there.
+    void add_places(std::vector<Elsewhere>& all) const {
+        constexpr std::array kParts{0.35, 0.65};  // of the way
+        if (!found_ || !profile_.has_more_noise(from_, psi_)) return;
+        const double whole = from_.z(psi_) - centre_;
+        const VectorXd bend = from_.z - profile_.start_.z - whole * first_.along;
+        for (const double part : kParts) {
+            Place there =
+                profile_.look(profile_.bounded(profile_.start_.z + part * whole * first_.along + part * part * bend));
+            if (!is_finite(there)) continue;
+            const double share = std::max(profile_.respond(there, psi_, 0, 0).loss2 - least_, 0.0) / allowed();
+            if (share < 1) all.push_back({std::move(there), psi_, share});
+        }
+    }
+
+    /// Finds the end anew, farther out, if elsewhere one standard error lifts the loss by so much that it matters.
+    /// noise: the most that is left for this unknown.
+    void allow_for(double noise) {
+        const double t = standard_errors_of_interval(degrees_);
+        if (!found_ || !(t * t * noise > kMuchMore * allowed())) return;
+        floor_ = t * t * noise;
+        bracket_ = Bracket(centre_, side_);
+        judged_ = NAN;
+        const auto farther = search(false);
+        if (farther && side_ * (*farther - *end_) > 0) end_ = farther;
+    }
+
+private:
+    static constexpr double kClose = 0.02;
+
+    std::optional<double> search(bool at_start) {
+        constexpr int kMostLooks = 40;
+        found_ = false;
+        for (int k = 0; k < kMostLooks; ++k, at_start = false) {
+            if (profile_.m_.task.control.over()) return std::nullopt;
+            judge(at_start);
+            double to = from_.z(psi_);
+            if (settled_) {
+                if (root_ < reach_ && to == bound_) return bound_;
+                follow();
+                bracket_.add(to, root_ - reach_);
+                to = next(at_start);
+                found_ = !at_start && std::abs(reach_ - root_) <= kClose * reach_;
+                if (found_) return to;
+                if (bracket_.closed()) return bracket_.inner();
+                to = bracket_.narrowed(to, from_.z(psi_), most_);
+            }
+            step(to);
+        }
+        return linear();
+    }
+
+    /// What is known of where the end lies.
+    class Bracket {
+    public:
+        Bracket(double centre, int side) : side_(side), centre_(centre), inner_(centre), outer_(side * HUGE_VAL) {}
+
+        /// excess: of the root of the rise over its reach; below 0 within the interval.
+        void add(double z, double excess) {
+            if (excess < 0 && side_ * (z - inner_) > 0) inner_ = z, inner_excess_ = excess;
+            if (excess >= 0 && side_ * (outer_ - z) > 0) outer_ = z, outer_excess_ = excess;
+        }
+        /// The farthest value that is known to belong to the interval.
+        [[nodiscard]] double inner() const { return inner_; }
+        [[nodiscard]] bool closed() const { return std::abs(outer_ - inner_) < 1e-3 * std::abs(outer_ - centre_); }
+        /// In place of `to` a value within what is known, no farther than `most` from z.
+        [[nodiscard]] double narrowed(double to, double z, double most) const {
+            to = std::clamp(to, z - most, z + most);
+            if (side_ * (to - inner_) < 0) to = inner_;
+            if (!std::isfinite(outer_)) return to;
+            const double share = std::isfinite(inner_excess_)
+                                     ? std::clamp(inner_excess_ / (inner_excess_ - outer_excess_), 0.1, 0.9)
+                                     : 0.5;
+            return std::clamp(inner_ + share * (outer_ - inner_), z - most, z + most);
+        }
+
+    private:
+        int side_;
+        double centre_, inner_, outer_;
+        double inner_excess_ = -HUGE_VAL, outer_excess_ = HUGE_VAL;
+    };
+
+    /// How far the profile has risen where the search stands, against how far it may, and whether the others have
+    /// followed closely enough to tell.
+    void judge(bool at_start) {
+        constexpr double kMostChange = 3;  // of noise, from the estimate on: beyond, a term has vanished
+        here_ = profile_.respond(from_, psi_, 0, 0);
+        if (still_) here_.loss2 = from_.loss2;
+        here_.noise = here_.noise > 0 ? std::clamp(here_.noise, first_.noise / kMostChange, first_.noise * kMostChange)
+                                      : first_.noise;
+        unit_ = std::max(here_.noise, 1e-300);
+        root_ = std::sqrt(std::max(here_.loss2 - least_, 0.0) / unit_);
+        reach_ = std::max(reach_, std::sqrt(floor_ / unit_));
+        settled_ = at_start || follows();
+        if (at_start || !settled_ || std::abs(reach_ - root_) >= 0.4 * reach_ || from_.z(psi_) == judged_) return;
+        // The noise at the estimate or here, whichever is more: bent, the profile shows both.
+        const double more = std::max(1.0, first_.noise / here_.noise);
+        reach_ = std::sqrt(
+            std::max(more * profile_.safe_threshold(from_, psi_, here_.noise, degrees_, close()), floor_) / unit_);
+        settled_ = follows();
+        judged_ = from_.z(psi_);
+    }
+    /// By what loss^2 may rise.
+    [[nodiscard]] double allowed() const { return reach_ * reach_ * unit_; }
+    /// Of that what is hardly more than nothing.
+    [[nodiscard]] double close() const { return kClose * allowed(); }
+    [[nodiscard]] bool follows() const { return still_ || from_.loss2 - here_.loss2 <= close(); }
+
+    /// Learns how the valley bends.
+    void follow() {
+        const double z = from_.z(psi_);
+        if (z == before_z_) return;
+        if (std::isfinite(before_z_)) bend_ = (here_.along - before_along_) / (z - before_z_);
+        before_z_ = z;
+        before_along_ = here_.along;
+    }
+
+    /// Where the end would be by the slope of the rise.
+    [[nodiscard]] double next(bool at_start) const {
+        const double z = from_.z(psi_);
+        const double outward = side_ * here_.slope;  // half the slope of the rise
+        double to = z;
+        if (at_start || root_ < 1e-3) {
+            const double off = std::max(outward, 0.0);  // rise = 2 off x + curvature x^2
+            to += side_ * (-off + std::sqrt(off * off + here_.curvature * allowed())) / here_.curvature;
+        } else if (outward > 0) {
+            to += side_ * (reach_ - root_) * root_ * unit_ / outward;
+        } else {
+            to += side_ * std::max(std::abs(z - centre_), 0.1 * size_);
+        }
+        if (!std::isfinite(to)) to = z + side_ * size_;
+        return std::clamp(to, profile_.lower_[at(psi_)], profile_.upper_[at(psi_)]);
+    }
+
+    /// Moves the unknown to a value, if the loss there is what was expected, or has the others follow once more.
+    void step(double to) {
+        const double by = to - from_.z(psi_);
+        if (by != 0 && still_) forget_slopes();
+        const VectorXd whole = profile_.respond(from_, psi_, by, damping_).step;
+        const double factor = shortening(whole);
+        const VectorXd step = whole * factor;
+        const Place there = profile_.look(landing(step, to, by, factor));
+        const double expected = from_.loss2 + 2 * from_.g.dot(step) + step.dot((from_.a + profile_.m_.misfit) * step);
+        if (is_finite(there) && (by == 0 ? there.loss2 <= from_.loss2 : there.loss2 - expected <= 0.5 * allowed())) {
+            still_ = by == 0 && from_.loss2 - there.loss2 <= 0.25 * close();
+            from_ = there;
+            damping_ = damping_ > 1e-3 ? damping_ / 5 : 0;
+            if (by == 0) return;
+            most_ = std::max(most_, (refused_ ? 1.3 : 2) * std::abs(by));
+            refused_ = false;
+        } else if (by == 0) {
+            still_ = damping_ > 1e4;
+            damping_ = std::max(1e-2, 5 * damping_);
+        } else {
+            most_ = 0.35 * std::abs(by) * factor;
+            refused_ = true;
+        }
+    }
+    /// Of the others: they are at the minimum, whatever the quadratic form says.
+    void forget_slopes() {
+        for (Index i = 0; i < profile_.count(); ++i)
+            if (i != psi_ && from_.z(i) > profile_.lower_[at(i)] && from_.z(i) < profile_.upper_[at(i)]) from_.g(i) = 0;
+    }
+    /// By what a step is too long for an unknown, 1 if for none.
+    [[nodiscard]] double shortening(const VectorXd& step) const {
+        double factor = 1;
+        for (Index i = 0; i < profile_.count(); ++i)
+            if (i != psi_)
+                factor = std::min(factor, profile_.m_.unknowns[at(i)].size(profile_.m_.task.model) /
+                                              std::max(std::abs(step(i)), 1e-300));
+        return factor;
+    }
+    /// Where a step ends, along the valley's bend, within the bounds.
+    [[nodiscard]] VectorXd landing(const VectorXd& step, double to, double by, double factor) const {
+        VectorXd z = from_.z + step;
+        if (by != 0 && bend_.size() > 0 && factor == 1) {
+            VectorXd more = 0.5 * by * by * bend_;
+            more(psi_) = 0;
+            if (more.cwiseAbs().maxCoeff() < step.cwiseAbs().maxCoeff()) z += more;
+        }
+        z = profile_.bounded(std::move(z));
+        if (factor == 1) z(psi_) = to;
+        return z;
+    }
+
+    /// The end by linear theory, or the farthest that was found to belong to the interval.
+    [[nodiscard]] double linear() const {
+        const double error = std::sqrt(first_.noise / first_.curvature);
+        const double end = std::clamp(centre_ + side_ * standard_errors_of_interval(degrees_) * error,
+                                      profile_.lower_[at(psi_)], profile_.upper_[at(psi_)]);
+        return side_ * (end - bracket_.inner()) > 0 ? end : bracket_.inner();
+    }
+
+    Profile& profile_;
+    Index psi_;
+    int side_;
+    double bound_, centre_, size_, degrees_;
+    std::optional<double> end_;
+    bool found_ = false;  ///< to where the rise is what it may be
+    double floor_ = 0;    ///< of what loss^2 may rise by
+    Response first_;      ///< at the minimum
+    double least_;        ///< loss^2
+    Bracket bracket_;
+    // Where the search stands.
+    Place from_;
+    Response here_{};
+    bool settled_ = false;  ///< the others have followed
+    bool still_ = false;    ///< they cannot any further
+    double damping_ = 0;
+    // In roots of the noise that one standard error is: how far the profile has risen, and may.
+    double unit_ = 0, root_ = 0;
+    double reach_;
+    double judged_ = NAN;  ///< where reach was found
+    // Of the next step: the longest, and whether the last was refused.
+    double most_;
+    bool refused_ = false;
+    // How the others follow, by the unknown: where it was last, and what that changes.
+    double before_z_ = NAN;
+    VectorXd before_along_, bend_;
+};
+
+std::vector<std::optional<std::array<double, 2>>> Profile::intervals() {
+    std::vector<std::optional<std::array<double, 2>>> result(m_.unknowns.size());
+    if (!std::isfinite(start_.loss2) || !start_.a.allFinite()) return result;
+    std::vector<End> ends;
+    for (Index i = 0; i < count(); ++i)
+        if (m_.unknowns[at(i)].parameter)
+            for (const int side : {-1, 1}) ends.emplace_back(*this, i, side);
+    for (End& end : ends) end.find();
+    std::vector<Elsewhere> elsewhere;
+    for (const End& end : ends) end.add_places(elsewhere);
+    for (std::size_t k = 0; k < ends.size(); k += 2) {
+        const double noise = noise_elsewhere(ends[k].psi(), elsewhere);
+        for (const std::size_t side : {k, k + 1}) ends[side].allow_for(noise);
+        const auto low = ends[k].z(), high = ends[k + 1].z();
+        if (!low || !high) continue;
+        const Index i = ends[k].psi();
+        const Coordinate& c = m_.unknowns[at(i)];
+        const Interval& bounds = m_.bounds[at(i)];
+        const auto value = [&](double z) {
+            if (z <= lower_[at(i)]) return bounds.min;
+            return z >= upper_[at(i)] ? bounds.max : std::clamp(c.value(z), bounds.min, bounds.max);
+        };
+        result[at(i)] = {std::min(value(*low), c.p), std::max(value(*high), c.p)};
+    }
+    return result;
+}
 
 }  // namespace
 

@@ -459,15 +459,15 @@ private:
     MatrixXd influences_;  ///< of each sample's standard deviation on each unknown
 };
 
-/// Bias-corrected percentiles of a sorted sample about the estimate (Efron 1981).
-std::array<double, 2> percentiles(const std::vector<double>& sorted, double estimate) {
+/// Bias-corrected percentiles of a sorted sample about the estimate (Efron 1981), as far out as `reach` standard errors
+/// of a normal distribution.
+std::array<double, 2> percentiles(const std::vector<double>& sorted, double estimate, double reach) {
     const boost::math::normal normal;
     const auto n = static_cast<double>(sorted.size());
     const auto below = std::lower_bound(sorted.begin(), sorted.end(), estimate) - sorted.begin();
     const auto upto = std::upper_bound(sorted.begin(), sorted.end(), estimate) - sorted.begin();
     const double share = std::clamp(static_cast<double>(below + upto) / (2 * n), 0.5 / n, 1 - 0.5 / n);
     const double bias = 2 * boost::math::quantile(normal, share);
-    const double reach = boost::math::quantile(normal, (1 + kConfidence) / 2);
     const auto at_share = [&](double z) {
         const double place = boost::math::cdf(normal, z) * (n - 1);
         const auto index = std::min(static_cast<std::size_t>(place), sorted.size() - 2);
@@ -499,9 +499,10 @@ std::vector<std::array<double, 2>> bootstrap_intervals(const Estimate& estimate,
     }
     std::vector<std::array<double, 2>> result;
     if (found.empty() || found.front().size() < replicates) return result;
+    const double reach = standard_errors_of_interval(estimate.noise.degrees);
     for (std::size_t i = 0; i < found.size(); ++i) {
         std::sort(found[i].begin(), found[i].end());
-        result.push_back(percentiles(found[i], estimate.point.parameters[i]));
+        result.push_back(percentiles(found[i], estimate.point.parameters[i], reach));
     }
     return result;
 }

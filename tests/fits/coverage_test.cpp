@@ -23,7 +23,7 @@ constexpr double kNoise = 0.02;
 FitOptions options_for(optim::Effort effort) {
     FitOptions options;
     options.effort = effort;
-    options.judge = false;
+    options.judge = effort == optim::Effort::thorough;  // then by resampling
     options.profiled = true;
     options.time_limit = std::chrono::hours(2);
     return options;
@@ -44,17 +44,9 @@ std::vector<FittedParameter> matched(const Fit& fit, const Fit& truth) {
     return distance(swapped) < distance(result) ? swapped : result;
 }
 
-class Coverage : public testing::TestWithParam<std::tuple<std::string, std::string>> {};
-INSTANTIATE_TEST_SUITE_P(
-    Cells, Coverage,
-    testing::Combine(testing::ValuesIn(sample_names()),
-                     testing::Values("phong", "ward", "lafortune_1", "lafortune_2", "he_torrance")),
-    [](const auto& parameter) { return std::get<0>(parameter.param) + "_" + std::get<1>(parameter.param); });
-
 /// The truth is the fit of the data without noise: what the estimate tends to, whether the model is right or not.
-TEST_P(Coverage, OfTheTruthIsNinetyFivePercent) {
-    const auto& [sample, model] = GetParam();
-    const std::size_t replicates = count_from("BRDFIT_REPLICATES", long_form() ? 1000 : 50);
+void expect_coverage(const std::string& sample, const std::string& model, optim::Effort effort,
+                     std::size_t replicates) {
     const optim::Channel exact = noise_free(sample);
     const optim::Report clean = fitter().fit(dataset_of(exact), {request(model)}, options_for(optim::Effort::standard));
     const Fit& truth = only(clean);
@@ -66,10 +58,12 @@ TEST_P(Coverage, OfTheTruthIsNinetyFivePercent) {
         for (optim::Channel& channel : dataset.channels)
             for (std::size_t j = 0; j < channel.samples.size(); ++j)
                 channel.samples[j].sigma = kNoise * exact.samples[j].brdf;
-    const optim::Report report = fitter().fit(dataset, {request(model)}, options_for(optim::Effort::standard));
+    const optim::Report report = fitter().fit(dataset, {request(model)}, options_for(effort));
     std::vector<std::vector<FittedParameter>> fits;
     for (std::size_t c = 0; c < replicates; ++c) fits.push_back(matched(only(report, c), truth));
     const auto n = static_cast<double>(replicates);
+    // What so many replicates leave open, by the binomial distribution.
+    const auto slack = [&](double edge) { return 3 * std::sqrt(edge * (1 - edge) / n); };
     double covered_of_all = 0;
     double parameters = 0;
     for (std::size_t k = 0; k < truth.parameters.size(); ++k) {
@@ -94,15 +88,47 @@ TEST_P(Coverage, OfTheTruthIsNinetyFivePercent) {
             100 * below / n, 100 * above / n, 100 * bounds / n, widths[replicates / 2]);
         // Where the model wants to go beyond a bound, truth and estimates stand there, and all is certain.
         if (t.at_bound && bounds > 0.975 * n) continue;
+        EXPECT_GE(covered / n, 0.93 - slack(0.93)) << t.name;
         ++parameters;
         covered_of_all += covered / n;
     }
     const double share = covered_of_all / parameters;
     std::printf("COVER %-14s %-11s all: %.1f %%\n", sample.c_str(), model.c_str(), 100 * share);
-    // The parameters of a fit go together: their mean is as uncertain as one's, by the binomial distribution.
-    const auto slack = [&](double edge) { return 3 * std::sqrt(edge * (1 - edge) / n); };
+    // The parameters of a fit go together: their mean is as uncertain as one's.
     EXPECT_GE(share, 0.93 - slack(0.93));
     EXPECT_LE(share, 0.97 + slack(0.97));
+}
+
+using Cell = std::tuple<std::string, std::string>;  // sample and model
+std::string name_of(const testing::TestParamInfo<Cell>& info) {
+    return std::get<0>(info.param) + "_" + std::get<1>(info.param);
+}
+
+class Coverage : public testing::TestWithParam<Cell> {};
+INSTANTIATE_TEST_SUITE_P(Cells, Coverage,
+                         testing::Combine(testing::ValuesIn(sample_names()),
+                                          testing::Values("phong", "ward", "lafortune_1", "lafortune_2",
+                                                          "he_torrance")),
+                         name_of);
+
+TEST_P(Coverage, OfTheTruthIsNinetyFivePercent) {
+    const auto& [sample, model] = GetParam();
+    expect_coverage(sample, model, optim::Effort::standard, count_from("BRDFIT_REPLICATES", long_form() ? 1000 : 50));
+}
+
+class Resampling : public testing::TestWithParam<Cell> {};
+INSTANTIATE_TEST_SUITE_P(Cells, Resampling,
+                         testing::Values(Cell("paper", "phong"), Cell("rough_metal", "ward"),
+                                         Cell("metallic_paint", "lafortune_1"), Cell("white_plastic", "lafortune_2"),
+                                         Cell("smooth_metal", "he_torrance"), Cell("white_plastic", "he_torrance")),
+                         name_of);
+
+/// Intervals of effort thorough: each is hundreds of fits.
+TEST_P(Resampling, CoversTheTruthInNinetyFivePercent) {
+    const auto& [sample, model] = GetParam();
+    const std::size_t replicates = count_from("BRDFIT_RESAMPLED", long_form() ? 300 : model == "phong" ? 40 : 0);
+    if (replicates == 0) GTEST_SKIP() << "in the long form";
+    expect_coverage(sample, model, optim::Effort::thorough, replicates);
 }
 
 }  // namespace
