@@ -110,9 +110,10 @@ private:
     const SearchSpace& space_;
     double scale2_;
     const Weighted* form_;
-    std::vector<Candidate> candidates_;
+    std::vector<Candidate> candidates_;  ///< of the last points, and memory of more
     std::vector<double> parameters_, lower_, upper_;
     kernels::Batch batch_;
+    std::vector<double> normal_, jacobian_, bent_;  ///< of one look
     std::size_t evaluations_ = 0;
 };
 
