@@ -36,6 +36,7 @@ public:
     [[nodiscard]] bool over() const { return over_; }
     [[nodiscard]] const std::vector<double>& next() const { return next_; }
     [[nodiscard]] const Minimum& end() const { return best_; }
+    [[nodiscard]] double promised() const { return promised_; }
     void stop(StopReason reason) {
         over_ = true;
         best_.stop = reason;
@@ -168,8 +169,15 @@ std::vector<Minimum> descend_together(const Landscape& landscape, const std::vec
         for (const Look& look : looks) least = std::min(least, look.value);
         control.evaluated(looks.size(), least);
         for (std::size_t i = 0; i < running.size(); ++i) running[i]->receive(std::move(looks[i]), goal);
+        double best = HUGE_VAL;
+        for (const Descent& descent : descents)
+            if (!descent.end().u.empty()) best = std::min(best, descent.end().loss2);
         for (Descent* descent : running) {
             if (descent->over()) continue;
+            if (goal.hopeful > 0 && descent->promised() < goal.hopeful * (descent->end().loss2 - best)) {
+                descent->stop(StopReason::converged);
+                continue;
+            }
             for (const Descent& other : descents)
                 if (&other != descent && other.end().loss2 <= descent->end().loss2 && !other.end().u.empty() &&
                     distance(other.end().u, descent->end().u) < kSamePath &&

@@ -7,6 +7,7 @@
 #include <memory>
 #include <numeric>
 #include <random>
+#include <utility>
 
 #include <nlopt.h>
 #include <boost/random/sobol.hpp>
@@ -165,8 +166,8 @@ double distance(std::span<const double> a, std::span<const double> b) {
 }
 
 /// Descents stop short of what the arithmetic of a search can tell.
-constexpr DescentGoal kQuickGoal{1e-5, 1e-12, 60};
-constexpr DescentGoal kExactGoal{1e-11, 1e-26, 100};
+constexpr DescentGoal kQuickGoal{1e-5, 1e-12, 60, 1e-2, 0.05};
+constexpr DescentGoal kExactGoal{1e-11, 1e-26, 100, 1e-2, 0.2};
 /// Rounds of exchanges, while each gains.
 constexpr int kExchangeRounds = 4;
 /// Samples at which a spike is tried in place of a lobe of the best end.
@@ -334,6 +335,25 @@ std::vector<double> SpaceLoss::screen(const std::vector<std::vector<double>>& po
     return values;
 }
 
+std::vector<double> SpaceLoss::screen_roughly(const std::vector<std::vector<double>>& points, std::size_t wanted,
+                                              const SearchControl& control) {
+    constexpr std::size_t kKept = 4;  // for each that is wanted
+    const std::size_t kept = kKept * wanted;
+    if (fewer_ == nullptr || kept >= points.size()) return screen(points, control);
+    const std::vector<double> rough = fewer_->screen(points, control);
+    std::vector<std::size_t> order(points.size());
+    std::iota(order.begin(), order.end(), std::size_t{0});
+    std::nth_element(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(kept), order.end(),
+                     [&](std::size_t a, std::size_t b) { return std::pair(rough[a], a) < std::pair(rough[b], b); });
+    order.resize(kept);
+    std::vector<std::vector<double>> better;
+    for (const std::size_t i : order) better.push_back(points[i]);
+    const std::vector<double> exact = screen(better, control);
+    std::vector<double> values(points.size(), std::numeric_limits<double>::max());
+    for (std::size_t k = 0; k < kept; ++k) values[order[k]] = exact[k];
+    return values;
+}
+
 void SpaceLoss::complete(Minimum& minimum) {
     minimum.loss2 = (*this)(minimum.u, {}) * scale2_;
     minimum.coefficients = batch_.coefficients;
@@ -370,7 +390,8 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
                          [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
     };
     const auto points = screening_points(space, budget.screened, control.seed);
-    std::vector<std::vector<double>> starts = best_distinct(points, quick.screen(points, control), budget.starts);
+    std::vector<std::vector<double>> starts =
+        best_distinct(points, quick.screen_roughly(points, budget.starts, control), budget.starts);
     starts.insert(starts.end(), seeds.begin(), seeds.end());
     control.stepped();
     if (budget.global_evaluations > 0) {
@@ -408,7 +429,8 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
         for (const Minimum& base : about)
             for (const auto& block : blocks) {
                 const auto fresh = exchanged_points(space, base.u, block, budget.exchanged, ++seed);
-                for (auto& start : best_distinct(fresh, quick.screen(fresh, control), budget.exchange_starts))
+                const auto values = quick.screen_roughly(fresh, budget.exchange_starts, control);
+                for (auto& start : best_distinct(fresh, values, budget.exchange_starts))
                     next.push_back(std::move(start));
             }
         descend_from(quick, next);
