@@ -22,7 +22,8 @@ using kernels::Model;
 /// Points of a special case that are looked at, and those from which it descends.
 constexpr std::size_t kSpecialPoints = 16;
 constexpr std::size_t kSpecialStarts = 2;
-/// Screenings look at a part of the samples first, if the search sees more than this: of one in so many draws.
+/// Screenings look at a part of the samples first, if the search sees more than this: of one in so many draws. Not for
+/// several lobes, which may be as narrow as a sample.
 constexpr std::size_t kGlanceAbove = 250;
 constexpr std::size_t kGlanceShare = 4;
 /// Ends of the quadratic search that the descent for another loss starts from.
@@ -270,7 +271,7 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
     if (coarse) stages.push_back(loss_of(quick, accuracy, task.directions, squares));
     stages.push_back(loss_of(precision, kernels::Accuracy::full, task.directions, squares));
     SpaceLoss& exact = *stages.back();
-    if (const std::size_t seen = stages.front()->samples(); coarse && seen > kGlanceAbove) {
+    if (const std::size_t seen = stages.front()->samples(); coarse && task.model.repeats <= 1 && seen > kGlanceAbove) {
         const Thinned few = thinned(squares, task.directions.directions(), seen / kGlanceShare, task.control.seed + 1);
         stages.front()->glance_through(*loss_of(quick, accuracy, few.directions, few.data));
     }

@@ -19,7 +19,7 @@ std::vector<Refitter::End> Refitter::descend(const Weighted& weighted, std::span
 }
 
 Refitter::End Refitter::best(const Weighted& weighted, std::span<const Point> starts, double relative) {
-    constexpr double kHopeful = 0.2;
+    constexpr double kHopeful = 0.05;
     if (weighted.y.size() <= kThinAbove || logarithmic_ || starts.size() < 2)
         return descend(weighted, starts, relative, kHopeful).front();
     // Which it is a part of the samples tells.

@@ -166,8 +166,8 @@ double distance(std::span<const double> a, std::span<const double> b) {
 }
 
 /// Descents stop short of what the arithmetic of a search can tell.
-constexpr DescentGoal kQuickGoal{1e-5, 1e-12, 60, 1e-2, 0.05};
-constexpr DescentGoal kExactGoal{1e-11, 1e-26, 100, 1e-2, 0.2};
+constexpr DescentGoal kQuickGoal{1e-5, 1e-12, 60};
+constexpr DescentGoal kExactGoal{1e-11, 1e-26, 100};
 /// Rounds of exchanges, while each gains.
 constexpr int kExchangeRounds = 4;
 /// Samples at which a spike is tried in place of a lobe of the best end.
