@@ -2,9 +2,11 @@
 #pragma once
 
 #include <map>
+#include <memory>
 #include <mutex>
 #include <string>
 #include <tuple>
+#include <vector>
 
 #include "kernels/engine.h"
 #include "kernels/opencl.h"
@@ -23,6 +25,9 @@ struct Engine::Impl {
     enum class Purpose { full_accuracy, search_accuracy, hemisphere };
     /// By what differs in their texts, which are long: header and text of the model.
     std::map<std::tuple<Precision, Purpose, std::string, std::string>, cl::Program> programs;
+    std::mutex spare_mutex;  // guards spare
+    /// Queues, kernels and buffers that evaluators of a program have left for the next ones.
+    std::map<cl_program, std::vector<std::shared_ptr<void>>> spare;
     mutable std::mutex withdrawn_mutex;          // guards withdrawn; not held while the compiler runs
     std::map<Precision, std::string> withdrawn;  // why
 

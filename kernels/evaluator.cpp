@@ -42,9 +42,15 @@ struct DirectionSet::Impl {
         return buffer = constant_buffer(shared.context, precision, std::move(values));
     }
 
-    [[nodiscard]] std::vector<std::pair<double, double>> points(std::size_t a, std::size_t b) const {
+    std::vector<std::pair<double, double>> points(std::size_t a, std::size_t b) {
+        const std::lock_guard lock(mutex);
+        return locked_points(a, b);
+    }
+
+    const std::vector<std::pair<double, double>>& locked_points(std::size_t a, std::size_t b) {
         constexpr std::size_t kEnough = 4000;
-        std::vector<std::pair<double, double>> result;
+        std::vector<std::pair<double, double>>& result = seen[{a, b}];
+        if (!result.empty()) return result;
         const auto table = geometry_columns();
         Angles angles{Direction{}};
         for (std::size_t j = 0; j < std::max<std::size_t>(1, directions.size()); j += 1 + directions.size() / kEnough) {
@@ -61,7 +67,7 @@ struct DirectionSet::Impl {
         if (!corners.empty()) return corners;
         using Point = boost::geometry::model::d2::point_xy<double>;
         boost::geometry::model::multi_point<Point> all;
-        for (const auto& [x, y] : points(a, b)) all.emplace_back(x, y);
+        for (const auto& [x, y] : locked_points(a, b)) all.emplace_back(x, y);
         boost::geometry::model::polygon<Point> polygon;
         boost::geometry::convex_hull(all, polygon);
         for (const Point& point : polygon.outer()) corners.emplace_back(point.x(), point.y());
@@ -72,7 +78,7 @@ struct DirectionSet::Impl {
 
 private:
     std::mutex mutex;  // guards what follows
-    std::map<std::pair<std::size_t, std::size_t>, std::vector<std::pair<double, double>>> hulls;
+    std::map<std::pair<std::size_t, std::size_t>, std::vector<std::pair<double, double>>> seen, hulls;
     std::map<std::tuple<cl_context, Precision, std::size_t>, cl::Buffer> buffers;
 };
 
@@ -88,26 +94,74 @@ std::vector<std::pair<double, double>> DirectionSet::hull(std::size_t a, std::si
     return impl_->hull(a, b);
 }
 
+namespace {
+
+/// What an evaluator needs of its program and of no other: it takes longer to make than to launch.
+struct Gear {
+    Gear(const Engine::Impl& shared, cl::Program program_in)
+        : program(std::move(program_in)), queue(shared.context, shared.device) {
+        const bool sliced = shared.sliced();
+        project = cl::Kernel(program, sliced ? "keep_terms" : "project");
+        project_value = cl::Kernel(program, sliced ? "keep_values" : "project_value");
+        loss = cl::Kernel(program, sliced ? "loss_slices" : "loss");
+        terms = cl::Kernel(program, "terms");
+        if (!sliced) return;
+        solve = cl::Kernel(program, "solve_slices");
+        sum = cl::Kernel(program, "sum_slices");
+        add = cl::Kernel(program, "add_slices");
+    }
+
+    cl::Program program;
+    cl::CommandQueue queue;
+    cl::Kernel project, project_value, loss, terms;
+    cl::Kernel solve, sum, add;  // sliced only
+    cl::Buffer in_buffer, scratch_buffer, out_buffer;
+    cl::Buffer products_buffer, sums_buffer;  // sliced only
+};
+
+/// Another's that has ended, or a new one.
+std::shared_ptr<Gear> take_gear(Engine::Impl& shared, const cl::Program& program) {
+    {
+        const std::lock_guard lock(shared.spare_mutex);
+        auto& spare = shared.spare[program()];
+        if (!spare.empty()) {
+            std::shared_ptr<Gear> gear = std::static_pointer_cast<Gear>(std::move(spare.back()));
+            spare.pop_back();
+            return gear;
+        }
+    }
+    return std::make_shared<Gear>(shared, program);
+}
+
+/// Keeps some of what nobody needs any more, but no large buffers.
+void leave_gear(Engine::Impl& shared, std::shared_ptr<Gear> gear) {
+    constexpr std::size_t kMostSpare = 16;
+    constexpr std::size_t kMostBytes = std::size_t{1} << 20;
+    for (cl::Buffer* buffer :
+         {&gear->in_buffer, &gear->scratch_buffer, &gear->out_buffer, &gear->products_buffer, &gear->sums_buffer})
+        if ((*buffer)() != nullptr && buffer->getInfo<CL_MEM_SIZE>() > kMostBytes) *buffer = {};
+    const std::lock_guard lock(shared.spare_mutex);
+    auto& spare = shared.spare[gear->program()];
+    if (spare.size() < kMostSpare) spare.push_back(std::move(gear));
+}
+
+}  // namespace
+
 struct Evaluator::Impl : Transfers {
     Impl(Engine& engine, const Model& model_in, Precision precision_in, const DirectionSet& directions,
          std::span<const double> y, std::span<const double> w, Accuracy accuracy)
-        : Transfers(engine, precision_in),
+        : Impl(engine, take_gear(engine.impl(), engine.impl().program(model_in, precision_in, accuracy)), model_in,
+               precision_in, directions, y, w) {}
+
+    Impl(Engine& engine, std::shared_ptr<Gear> gear, const Model& model_in, Precision precision_in,
+         const DirectionSet& directions, std::span<const double> y, std::span<const double> w)
+        : Transfers(engine, precision_in, gear->queue),
+          gear_(std::move(gear)),
           model(model_in),
           lanes(shared.lanes(precision)),
           count(directions.directions().size()),
           padded((count + lanes - 1) / lanes * lanes),
           nonlinear(model.nonlinear().size()) {
-        const cl::Program program = shared.program(model, precision, accuracy);
-        project = cl::Kernel(program, sliced ? "keep_terms" : "project");
-        project_value = cl::Kernel(program, sliced ? "keep_values" : "project_value");
-        loss = cl::Kernel(program, sliced ? "loss_slices" : "loss");
-        terms = cl::Kernel(program, "terms");
-        if (sliced) {
-            solve = cl::Kernel(program, "solve_slices");
-            sum = cl::Kernel(program, "sum_slices");
-            add = cl::Kernel(program, "add_slices");
-        }
-
         columns_buffer = directions.impl().columns(shared, precision, padded);
         for (cl::Kernel* kernel : {&project, &project_value, &loss}) {
             kernel->setArg(0, columns_buffer);
@@ -117,6 +171,16 @@ struct Evaluator::Impl : Transfers {
         assign(y, w);
         terms.setArg(0, columns_buffer);
         terms.setArg(1, static_cast<cl_int>(padded));
+    }
+
+    Impl(const Impl&) = delete;
+    Impl& operator=(const Impl&) = delete;
+    ~Impl() {
+        if (failed) return;
+        try {
+            leave_gear(shared, std::move(gear_));
+        } catch (...) {  // then the next makes its own
+        }
     }
 
     void assign(std::span<const double> y, std::span<const double> w) {
@@ -279,17 +343,34 @@ struct Evaluator::Impl : Transfers {
         }
     }
 
+    std::shared_ptr<Gear> gear_;
+    /// Terms and slopes of candidates that fit into one launch, into `results`; rows are `padded` long.
+    void find_terms(std::span<const double> parameters) {
+        const std::size_t n = parameters.size() / model.parameters.size();
+        results.resize(n * model.term_values() * padded);
+        guarded([&] {
+            upload(in_buffer, parameters);
+            reserve(scratch_buffer, results.size());
+            terms.setArg(2, static_cast<cl_int>(n));
+            terms.setArg(3, in_buffer);
+            terms.setArg(4, scratch_buffer);
+            launch(terms, n * padded / lanes);
+            download(scratch_buffer, results);
+        });
+    }
+
     const Model& model;
     unsigned lanes;
     std::size_t count;
     std::size_t padded;
     std::size_t nonlinear;
     bool sliced = shared.sliced();
-    cl::Kernel project, project_value, loss, terms;
-    cl::Kernel solve, sum, add;  // sliced only
+    cl::Kernel &project = gear_->project, &project_value = gear_->project_value, &loss = gear_->loss,
+               &terms = gear_->terms;
+    cl::Kernel &solve = gear_->solve, &sum = gear_->sum, &add = gear_->add;
     cl::Buffer columns_buffer, y_buffer, w_buffer;
-    cl::Buffer in_buffer, scratch_buffer, out_buffer;
-    cl::Buffer products_buffer, sums_buffer;  // sliced only
+    cl::Buffer &in_buffer = gear_->in_buffer, &scratch_buffer = gear_->scratch_buffer, &out_buffer = gear_->out_buffer;
+    cl::Buffer &products_buffer = gear_->products_buffer, &sums_buffer = gear_->sums_buffer;
     std::vector<double> rows, results;
 };
 
@@ -331,16 +412,7 @@ std::vector<double> Evaluator::terms(std::span<const double> parameters) try {
     result.reserve(candidates * values * m.count);
     for (std::size_t first = 0; first < candidates; first += m.launch_limit()) {
         const std::size_t n = std::min(m.launch_limit(), candidates - first);
-        m.results.resize(n * values * m.padded);
-        m.guarded([&] {
-            m.upload(m.in_buffer, parameters.subspan(first * p, n * p));
-            m.reserve(m.scratch_buffer, n * values * m.padded);
-            m.terms.setArg(2, static_cast<cl_int>(n));
-            m.terms.setArg(3, m.in_buffer);
-            m.terms.setArg(4, m.scratch_buffer);
-            m.launch(m.terms, n * m.padded / m.lanes);
-            m.download(m.scratch_buffer, m.results);
-        });
+        m.find_terms(parameters.subspan(first * p, n * p));
         for (std::size_t row = 0; row < n * values; ++row) {
             const auto begin = m.results.begin() + static_cast<std::ptrdiff_t>(row * m.padded);
             result.insert(result.end(), begin, begin + static_cast<std::ptrdiff_t>(m.count));
@@ -357,18 +429,19 @@ void Evaluator::assign(std::span<const double> y, std::span<const double> w) try
     throw device_error(error);
 }
 
-Values Evaluator::values(const std::vector<double>& parameters, bool gradient) {
+Values Evaluator::values(const std::vector<double>& parameters, bool gradient) try {
     const Model& model = impl_->model;
     const std::size_t n = impl_->count;
     Values values;
-    const std::vector<double> rows = terms(parameters);
+    impl_->find_terms(parameters);
     const std::vector<double> c = model.coefficients(parameters);
     values.f.assign(n, 0.0);
     if (gradient) values.by_parameter.assign(model.parameters.size() * n, 0.0);
     std::size_t row = 0;
     const auto add = [&](double* to, double factor, std::size_t from) {
         constexpr double kMost = std::numeric_limits<double>::max();  // where saturated lobes add up
-        for (std::size_t i = 0; i < n; ++i) to[i] = std::clamp(to[i] + factor * rows[from * n + i], -kMost, kMost);
+        const double* const terms = impl_->results.data() + from * impl_->padded;
+        for (std::size_t i = 0; i < n; ++i) to[i] = std::clamp(to[i] + factor * terms[i], -kMost, kMost);
     };
     for (std::size_t t = 0; t < model.terms.size(); ++t) {
         const Term& term = model.terms[t];
@@ -381,6 +454,8 @@ Values Evaluator::values(const std::vector<double>& parameters, bool gradient) {
         }
     }
     return values;
+} catch (const cl::Error& error) {
+    throw device_error(error);
 }
 
 Values evaluate(Engine& engine, const Model& model, Precision precision, const std::vector<double>& parameters,

@@ -49,7 +49,10 @@ cl::Buffer constant_buffer(const cl::Context& context, Precision precision, std:
 }
 
 Transfers::Transfers(Engine& engine, Precision precision_in)
-    : shared(engine.impl()), precision(precision_in), queue(shared.context, shared.device) {}
+    : Transfers(engine, precision_in, cl::CommandQueue(engine.impl().context, engine.impl().device)) {}
+
+Transfers::Transfers(Engine& engine, Precision precision_in, cl::CommandQueue queue_in)
+    : shared(engine.impl()), precision(precision_in), queue(std::move(queue_in)) {}
 
 void Transfers::reserve(cl::Buffer& buffer, std::size_t scalars) const {
     const std::size_t bytes = std::max<std::size_t>(scalars, 1) * size_of(precision);

@@ -19,6 +19,7 @@ cl::Buffer constant_buffer(const cl::Context& context, Precision precision, std:
 /// the calling thread has a Waiter (kernels/waiting.h), what would block is left to it.
 struct Transfers {
     Transfers(Engine& engine, Precision precision);
+    Transfers(Engine& engine, Precision precision, cl::CommandQueue queue);
 
     /// Makes the buffer at least that many scalars large.
     void reserve(cl::Buffer& buffer, std::size_t scalars) const;
@@ -33,6 +34,7 @@ struct Transfers {
             work();
         } catch (...) {
             ::clFinish(queue());  // that it fails, too, is no news
+            failed = true;
             throw;
         }
     }
@@ -44,6 +46,7 @@ struct Transfers {
     Engine::Impl& shared;
     Precision precision;
     cl::CommandQueue queue;
+    bool failed = false;  ///< something that was guarded
 
 private:
     void read(const cl::Buffer& buffer, std::size_t bytes, void* to);

@@ -19,6 +19,8 @@ struct DescentGoal {
     double absolute = 1e-24;
     int looks = 60;         ///< most evaluations of a descent
     double damping = 1e-2;  ///< Marquardt's, of the first step
+    /// If above 0, only the best end counts: a descent whose step promises less than this part of what it lacks ends.
+    double hopeful = 0;
 };
 
 /// Descends from every start, one launch for the next step of all; returns the ends in the order of the starts. A

@@ -123,10 +123,11 @@ void add_evidence(const Work& work, const Weighted& weighted, const Variant* sma
     if (variant.refitter->logarithmic())
         own.emplace(variant.task, variant.prepared.bounds, Refitter::Residual::difference);
     Refitter& refitter = own ? *own : *variant.refitter;
-    variant.likeliest = refitter.descend(weigh_by(variant.prepared.channel, variant.sigma), starts, kEnough).front();
+    variant.likeliest = refitter.best(weigh_by(variant.prepared.channel, variant.sigma), starts, kEnough);
     std::vector<double> f = refitter.values(variant.likeliest, false).f;
     for (double& value : f) value *= variant.prepared.unit;
-    describe_evidence(deviance(work.channel, work.noise.sigma, f), work.channel.samples.size(), variant.degrees(), fit);
+    describe_evidence(deviance(work.channel, work.noise.get().sigma, f), work.channel.samples.size(), variant.degrees(),
+                      fit);
 }
 
 /// Has what follows see squares in place of a robust loss: those of its pseudo-values, which have their minimum, and
@@ -190,9 +191,9 @@ void add_parameters(const Work& work, Variant& variant) {
                 bound_remark(declared, bounds[i], value, work.request.bounds.count(declared.name) > 0, units[i]));
         fit.parameters.push_back(std::move(parameter));
     }
-    const Estimate estimate{variant.task,    work.options.loss,  bounds,
-                            variant.optimum, at_bound,           variant.sigma,
-                            work.noise,      variant.scale_free, work.options.profiled.value_or(work.options.judge)};
+    const Estimate estimate{variant.task,     work.options.loss,  bounds,
+                            variant.optimum,  at_bound,           variant.sigma,
+                            work.noise.get(), variant.scale_free, work.options.profiled.value_or(work.options.judge)};
     Uncertainty uncertainty = uncertainty_of(estimate, *variant.refitter, units);
     std::vector<std::array<double, 2>> resampled;
     if (work.options.judge && work.options.effort == Effort::thorough && !variant.sigma.empty())

@@ -80,6 +80,8 @@ Influence Weighted::influence(double square) const {
 Weighted weigh(const Channel& channel, const Criterion& criterion) {
     Weighted result;
     result.logarithmic = criterion.kind == Loss::log;
+    result.weight.reserve(channel.samples.size());
+    result.y.reserve(channel.samples.size());
     double denominator = 0;
     for (const Sample& sample : channel.samples) {
         const Share s = share(sample, criterion);
@@ -99,8 +101,9 @@ Weighted weigh(const Channel& channel, const Criterion& criterion) {
 
 Weighted weigh(const Channel& channel, const Criterion& criterion, double scale) {
     Weighted result = weigh(channel, criterion);
+    if (criterion.robust == Robust::none) return result;
     const double denominator = denominator_of(channel, criterion);
-    if (criterion.robust == Robust::none || !(denominator > 0)) return result;
+    if (!(denominator > 0)) return result;
     result.robust = criterion.robust;
     result.threshold = criterion.threshold();
     result.scale = scale / std::sqrt(denominator);

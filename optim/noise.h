@@ -1,6 +1,7 @@
 /// How noisy the samples of a channel are, by the data alone.
 #pragma once
 
+#include <mutex>
 #include <vector>
 
 #include "optim/dataset.h"
@@ -26,5 +27,20 @@ struct Noise {
 /// What the channel's sigma say, if every sample has one; else what fourth divided differences along its scans do,
 /// which a smooth curve hardly has (docs/statistics.md).
 Noise noise_of(const Channel& channel);
+
+/// The noise of a channel, which it refers to, found when it is first asked for. Safe to use from several threads.
+class NoiseOf {
+public:
+    explicit NoiseOf(const Channel& channel) : channel_(channel) {}
+    [[nodiscard]] const Noise& get() const {
+        std::call_once(once_, [this] { noise_ = noise_of(channel_); });
+        return noise_;
+    }
+
+private:
+    const Channel& channel_;
+    mutable std::once_flag once_;
+    mutable Noise noise_;
+};
 
 }  // namespace brdfit::optim

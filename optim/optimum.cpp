@@ -4,8 +4,6 @@
 #include <cmath>
 #include <list>
 #include <numbers>
-#include <numeric>
-#include <random>
 
 #include "kernels/evaluator.h"
 #include "optim/descent.h"
@@ -13,6 +11,7 @@
 #include "optim/search.h"
 #include "optim/stationarity.h"
 #include "optim/statistics.h"
+#include "optim/thinned.h"
 
 namespace brdfit::optim {
 namespace {
@@ -23,9 +22,10 @@ using kernels::Model;
 /// Points of a special case that are looked at, and those from which it descends.
 constexpr std::size_t kSpecialPoints = 16;
 constexpr std::size_t kSpecialStarts = 2;
-/// A search over more samples than this looks at a part of them, of about so many draws.
-constexpr std::size_t kThinAbove = 6000;
-constexpr std::size_t kThinTo = 2000;
+/// Screenings look at a part of the samples first, if the search sees more than this: of one in so many draws. Not for
+/// several lobes, which may be as narrow as a sample.
+constexpr std::size_t kGlanceAbove = 250;
+constexpr std::size_t kGlanceShare = 4;
 /// Ends of the quadratic search that the descent for another loss starts from.
 constexpr std::size_t kPolished = 6;
 
@@ -96,44 +96,6 @@ void add_lit(const Task& task, const std::vector<Interval>& bounds, const Levels
 /// What losses of a search are divided by: loss^2 of f = 0.
 double scale2_of(const Weighted& weighted) { return weighted.norm > 0 ? weighted.norm * weighted.norm : 1.0; }
 
-/// A part of many samples, with weights so that sums over it estimate those over all.
-struct Thinned {
-    std::vector<kernels::Direction> directions;
-    Weighted data;
-};
-
-/// Half of the draws fall evenly, half in proportion to the weighted square of the value, which narrow peaks have and
-/// an even draw would miss.
-Thinned thinned(const Weighted& all, std::span<const kernels::Direction> directions, std::uint64_t seed) {
-    const std::size_t n = all.y.size();
-    std::vector<double> share(n);
-    double energy = 0;
-    for (std::size_t j = 0; j < n; ++j) energy += all.weight[j] * all.y[j] * all.y[j];
-    for (std::size_t j = 0; j < n; ++j)
-        share[j] = 0.5 / static_cast<double>(n) +
-                   (energy > 0 ? 0.5 * all.weight[j] * all.y[j] * all.y[j] / energy : 0.5 / static_cast<double>(n));
-    std::vector<std::size_t> order(n);
-    std::iota(order.begin(), order.end(), std::size_t{0});
-    std::mt19937_64 random(seed);
-    std::shuffle(order.begin(), order.end(), random);  // a regular grid of directions must not meet regular draws
-    Thinned result;
-    result.data.norm = all.norm;
-    result.data.logarithmic = all.logarithmic;
-    double sum = 0.5;
-    for (const std::size_t j : order) {
-        const double expected = share[j] * static_cast<double>(kThinTo);
-        const double before = std::floor(sum);
-        sum += expected;
-        const double draws = std::floor(sum) - before;
-        if (draws == 0) continue;
-        result.directions.push_back(directions[j]);
-        result.data.y.push_back(all.y[j]);
-        result.data.weight.push_back(all.weight[j] * draws / expected);
-    }
-    result.data.used = result.data.y.size();
-    return result;
-}
-
 /// The end of a search in parameters, with what its record says so far.
 Optimum optimum_at(const Task& task, const SearchSpace& space, const Minimum& end, const SearchRecord& record) {
     Optimum optimum{{}, &task.model, end.loss2, record, {}, {}};
@@ -183,7 +145,7 @@ Optimum settled(const Task& task, const std::vector<Interval>& bounds, const Wei
     std::optional<SpaceLoss> thin_loss;
     Objective bends;
     if (weighted.y.size() > kThinAbove && weighted.robust == Robust::none) {
-        thin = thinned(weighted, task.directions.directions(), task.control.seed);
+        thin = thinned(weighted, task.directions.directions(), kThinTo, task.control.seed);
         thin_evaluator.emplace(task.engine, task.model, precision, thin->directions, thin->data.y, thin->data.weight);
         thin_loss.emplace(*thin_evaluator, space, scale2, &thin->data);
         bends = [&](std::span<const double> u, std::span<double> g) { return (*thin_loss)(u, g); };
@@ -294,21 +256,25 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
     std::list<Evaluator> evaluators;  // losses keep references
     std::list<SpaceLoss> losses;
     std::vector<SpaceLoss*> stages;
-    const auto add_stage = [&](kernels::Precision arithmetic, kernels::Accuracy accuracy,
-                               const kernels::DirectionSet& directions, const Weighted& data) {
+    const auto loss_of = [&](kernels::Precision arithmetic, kernels::Accuracy accuracy,
+                             const kernels::DirectionSet& directions, const Weighted& data) {
         evaluators.emplace_back(task.engine, task.model, arithmetic, directions, data.y, data.weight, accuracy);
-        stages.push_back(&losses.emplace_back(evaluators.back(), space, scale2));
+        return &losses.emplace_back(evaluators.back(), space, scale2);
     };
     const bool coarse = !task.precision && task.model.begins_quickly();
     const kernels::Precision quick = coarse ? task.engine.quickest_precision() : precision;
     const kernels::Accuracy accuracy = coarse ? task.model.first_accuracy() : kernels::Accuracy::full;
     if (squares.y.size() > kThinAbove) {
-        const Thinned thin = thinned(squares, task.directions.directions(), task.control.seed);
-        add_stage(quick, accuracy, thin.directions, thin.data);
+        const Thinned thin = thinned(squares, task.directions.directions(), kThinTo, task.control.seed);
+        stages.push_back(loss_of(quick, accuracy, thin.directions, thin.data));
     }
-    if (coarse) add_stage(quick, accuracy, task.directions, squares);
-    add_stage(precision, kernels::Accuracy::full, task.directions, squares);
+    if (coarse) stages.push_back(loss_of(quick, accuracy, task.directions, squares));
+    stages.push_back(loss_of(precision, kernels::Accuracy::full, task.directions, squares));
     SpaceLoss& exact = *stages.back();
+    if (const std::size_t seen = stages.front()->samples(); coarse && task.model.repeats <= 1 && seen > kGlanceAbove) {
+        const Thinned few = thinned(squares, task.directions.directions(), seen / kGlanceShare, task.control.seed + 1);
+        stages.front()->glance_through(*loss_of(quick, accuracy, few.directions, few.data));
+    }
 
     std::vector<std::vector<double>> seeds = special_starts(task, *stages.front());
     if (smaller != nullptr) seeds.push_back(space.coordinates(smaller->parameters, smaller->scale));

@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "optim/descent.h"
+#include "optim/thinned.h"
 
 namespace brdfit::optim {
 
@@ -14,6 +15,25 @@ Refitter::Refitter(const Task& task, const std::vector<Interval>& bounds, Residu
       evaluator_(task.engine, task.model, task.engine.best_precision(), task.directions, {}, {}) {}
 
 std::vector<Refitter::End> Refitter::descend(const Weighted& weighted, std::span<const Point> starts, double relative) {
+    return descend(weighted, starts, relative, 0);
+}
+
+Refitter::End Refitter::best(const Weighted& weighted, std::span<const Point> starts, double relative) {
+    constexpr double kHopeful = 0.05;
+    if (weighted.y.size() <= kThinAbove || logarithmic_ || starts.size() < 2)
+        return descend(weighted, starts, relative, kHopeful).front();
+    // Which it is a part of the samples tells.
+    const Thinned few = thinned(weighted, task_.directions.directions(), kThinTo, task_.control.seed);
+    const kernels::DirectionSet directions(few.directions);
+    kernels::Evaluator evaluator(task_.engine, task_.model, task_.engine.best_precision(), directions, {}, {});
+    std::swap(evaluator, evaluator_);
+    const Point best = descend(few.data, starts, relative, kHopeful).front();
+    std::swap(evaluator, evaluator_);
+    return descend(weighted, {&best, 1}, relative, 0).front();
+}
+
+std::vector<Refitter::End> Refitter::descend(const Weighted& weighted, std::span<const Point> starts, double relative,
+                                             double hopeful) {
     constexpr int kMostLooks = 40;
     const Weighted data = logarithmic_ ? weighted : balanced(weighted);
     const double norm2 = data.norm > 0 && !logarithmic_ ? data.norm * data.norm : 1.0;
@@ -27,7 +47,8 @@ std::vector<Refitter::End> Refitter::descend(const Weighted& weighted, std::span
         std::vector<std::vector<double>> from;
         for (const Point& start : starts) from.push_back(space_.coordinates(start.parameters, start.scale));
         const Landscape landscape = [&](auto at) { return loss.looks(at); };
-        ends = descend_together(landscape, from, {relative, 1e-26, kMostLooks}, task_.control);
+        ends = descend_together(landscape, from, {relative, 1e-26, kMostLooks, DescentGoal{}.damping, hopeful},
+                                task_.control);
     }
     std::vector<End> result;
     for (Minimum& minimum : ends) {

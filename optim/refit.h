@@ -24,6 +24,8 @@ public:
     /// The ends of descents from the starts, best first. A descent ends when it promises a decrease below `relative` of
     /// its loss^2. Throws what an evaluator throws.
     std::vector<End> descend(const Weighted& weighted, std::span<const Point> starts, double relative);
+    /// The best of those ends alone: a descent that cannot be it is not followed to its own.
+    End best(const Weighted& weighted, std::span<const Point> starts, double relative);
     /// scale f at each sample, with the unit of the task's channel; on request by each parameter as well.
     kernels::Values values(const Point& point, bool gradient);
     /// The evaluator, with the data of the last descent.
@@ -32,6 +34,8 @@ public:
     [[nodiscard]] std::size_t evaluations() const { return evaluations_; }
 
 private:
+    std::vector<End> descend(const Weighted& weighted, std::span<const Point> starts, double relative, double hopeful);
+
     const Task& task_;
     bool logarithmic_;
     SearchSpace space_;

@@ -7,9 +7,9 @@
 #include <memory>
 #include <numeric>
 #include <random>
+#include <utility>
 
 #include <nlopt.h>
-#include <Eigen/Core>
 #include <boost/random/sobol.hpp>
 
 #include "optim/descent.h"
@@ -234,7 +234,7 @@ SearchBudget budget(Effort effort, std::size_t dimension, std::size_t lobes) {
 }
 
 void SpaceLoss::evaluate(std::span<const std::vector<double>> points, bool gradient) {
-    candidates_.resize(points.size());
+    if (candidates_.size() < points.size()) candidates_.resize(points.size());
     parameters_.clear();
     lower_.clear();
     upper_.clear();
@@ -265,45 +265,57 @@ double SpaceLoss::operator()(std::span<const double> u, std::span<double> gradie
 }
 
 std::vector<Look> SpaceLoss::looks(std::span<const std::vector<double>> points) {
-    using Eigen::Index;
-    using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
     evaluate(points, true);
     const kernels::Model& model = space_.model();
     const std::size_t p = model.parameters.size();
     const std::size_t t = model.terms.size();
     const std::size_t d = space_.dimension();
-    const auto unknowns = static_cast<Index>(t + model.nonlinear().size());
-    const auto normals = static_cast<std::size_t>(unknowns * (unknowns + 1) / 2);
+    const std::size_t unknowns = t + space_.nonlinear();
+    const std::size_t normals = unknowns * (unknowns + 1) / 2;
     std::vector<Look> result(points.size());
-    Matrix normal(unknowns, unknowns);
+    normal_.resize(unknowns * unknowns);
+    bent_.resize(unknowns * d);
     for (std::size_t i = 0; i < points.size(); ++i) {
         Look& look = result[i];
         const Candidate& at = candidates_[i];
         const std::span<const double> c(batch_.coefficients.data() + i * t, t);
+        space_.jacobian(points[i], at, c, jacobian_);
         look.value = batch_.loss[i] / scale2_;
         look.gradient.resize(d);
-        space_.gradient(points[i], at, c, {batch_.by_parameter.data() + i * p, p},
-                        {batch_.by_coefficient.data() + i * t, t}, look.gradient);
+        space_.gradient(jacobian_, {batch_.by_parameter.data() + i * p, p}, {batch_.by_coefficient.data() + i * t, t},
+                        look.gradient);
         for (double& g : look.gradient) g /= scale2_;
 
         const double* entry = batch_.normal.data() + i * normals;
-        for (Index row = 0; row < unknowns; ++row)
-            for (Index column = row; column < unknowns; ++column) normal(row, column) = normal(column, row) = *entry++;
+        for (std::size_t row = 0; row < unknowns; ++row)
+            for (std::size_t column = row; column < unknowns; ++column)
+                normal_[row * unknowns + column] = normal_[column * unknowns + row] = *entry++;
         // What free coefficients take up of a step is taken out of its curvature.
         for (std::size_t k = 0; k < t; ++k) {
-            const auto row = static_cast<Index>(k);
-            const double pivot = normal(row, row);
+            double* const of_k = normal_.data() + k * unknowns;
+            const double pivot = of_k[k];
             if (!SearchSpace::is_free(c[k], at.lower[k], at.upper[k]) || !(pivot > 0)) continue;
-            const Eigen::VectorXd column = normal.col(row);
-            normal -= column * column.transpose() / pivot;
-            normal.row(row).setZero();
-            normal.col(row).setZero();
+            for (std::size_t row = 0; row < unknowns; ++row) {
+                const double part = of_k[row] / pivot;
+                if (row == k || part == 0) continue;
+                for (std::size_t column = 0; column < unknowns; ++column)
+                    normal_[row * unknowns + column] -= part * of_k[column];
+                normal_[row * unknowns + k] = 0;
+            }
+            std::fill_n(of_k, unknowns, 0.0);
         }
-        const std::vector<double> jacobian = space_.jacobian(points[i], at, c);
-        const Eigen::Map<const Matrix> by_u(jacobian.data(), unknowns, static_cast<Index>(d));
+        // The Jacobian's rows are sparse.
+        std::fill(bent_.begin(), bent_.end(), 0.0);
+        for (std::size_t row = 0; row < unknowns; ++row)
+            for (std::size_t j = 0; j < d; ++j)
+                if (const double slope = jacobian_[row * d + j]; slope != 0)
+                    for (std::size_t k = 0; k < unknowns; ++k)
+                        bent_[j * unknowns + k] += slope * normal_[row * unknowns + k];
         look.curvature.resize(d * d);
-        Eigen::Map<Matrix>(look.curvature.data(), static_cast<Index>(d), static_cast<Index>(d)) =
-            2 / scale2_ * by_u.transpose() * normal * by_u;
+        for (std::size_t row = 0; row < unknowns; ++row)
+            for (std::size_t j = 0; j < d; ++j)
+                if (const double slope = 2 / scale2_ * jacobian_[row * d + j]; slope != 0)
+                    for (std::size_t k = 0; k < d; ++k) look.curvature[j * d + k] += slope * bent_[k * unknowns + row];
     }
     return result;
 }
@@ -320,6 +332,25 @@ std::vector<double> SpaceLoss::screen(const std::vector<std::vector<double>>& po
         control.evaluated(count, *std::min_element(values.begin() + static_cast<std::ptrdiff_t>(first),
                                                    values.begin() + static_cast<std::ptrdiff_t>(first + count)));
     }
+    return values;
+}
+
+std::vector<double> SpaceLoss::screen_roughly(const std::vector<std::vector<double>>& points, std::size_t wanted,
+                                              const SearchControl& control) {
+    constexpr std::size_t kKept = 4;  // for each that is wanted
+    const std::size_t kept = kKept * wanted;
+    if (fewer_ == nullptr || kept >= points.size()) return screen(points, control);
+    const std::vector<double> rough = fewer_->screen(points, control);
+    std::vector<std::size_t> order(points.size());
+    std::iota(order.begin(), order.end(), std::size_t{0});
+    std::nth_element(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(kept), order.end(),
+                     [&](std::size_t a, std::size_t b) { return std::pair(rough[a], a) < std::pair(rough[b], b); });
+    order.resize(kept);
+    std::vector<std::vector<double>> better;
+    for (const std::size_t i : order) better.push_back(points[i]);
+    const std::vector<double> exact = screen(better, control);
+    std::vector<double> values(points.size(), std::numeric_limits<double>::max());
+    for (std::size_t k = 0; k < kept; ++k) values[order[k]] = exact[k];
     return values;
 }
 
@@ -359,7 +390,8 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
                          [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
     };
     const auto points = screening_points(space, budget.screened, control.seed);
-    std::vector<std::vector<double>> starts = best_distinct(points, quick.screen(points, control), budget.starts);
+    std::vector<std::vector<double>> starts =
+        best_distinct(points, quick.screen_roughly(points, budget.starts, control), budget.starts);
     starts.insert(starts.end(), seeds.begin(), seeds.end());
     control.stepped();
     if (budget.global_evaluations > 0) {
@@ -397,7 +429,8 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
         for (const Minimum& base : about)
             for (const auto& block : blocks) {
                 const auto fresh = exchanged_points(space, base.u, block, budget.exchanged, ++seed);
-                for (auto& start : best_distinct(fresh, quick.screen(fresh, control), budget.exchange_starts))
+                const auto values = quick.screen_roughly(fresh, budget.exchange_starts, control);
+                for (auto& start : best_distinct(fresh, values, budget.exchange_starts))
                     next.push_back(std::move(start));
             }
         descend_from(quick, next);

@@ -93,10 +93,19 @@ public:
     /// Values at many points, in launches small enough to look at the clock between them; points left when time runs
     /// out have the largest value.
     std::vector<double> screen(const std::vector<std::vector<double>>& points, const SearchControl& control);
+    /// Has screen_roughly() look through fewer samples first, by a loss of the same space that must outlive this.
+    void glance_through(SpaceLoss& fewer) { fewer_ = &fewer; }
+    /// The same of points of which `wanted` shall be chosen: those that fewer samples tell to be poor have the largest
+    /// value.
+    std::vector<double> screen_roughly(const std::vector<std::vector<double>>& points, std::size_t wanted,
+                                       const SearchControl& control);
     /// Fills in the loss, not divided, and the coefficients at minimum.u.
     void complete(Minimum& minimum);
 
-    [[nodiscard]] std::size_t evaluations() const { return evaluations_; }
+    /// Those through fewer samples included.
+    [[nodiscard]] std::size_t evaluations() const {
+        return evaluations_ + (fewer_ != nullptr ? fewer_->evaluations() : 0);
+    }
     [[nodiscard]] const SearchSpace& space() const { return space_; }
     [[nodiscard]] bool robust() const { return form_ != nullptr && form_->robust != Robust::none; }
     [[nodiscard]] std::size_t samples() const { return evaluator_.samples(); }
@@ -110,9 +119,11 @@ private:
     const SearchSpace& space_;
     double scale2_;
     const Weighted* form_;
-    std::vector<Candidate> candidates_;
+    std::vector<Candidate> candidates_;  ///< of the last points, and memory of more
     std::vector<double> parameters_, lower_, upper_;
     kernels::Batch batch_;
+    std::vector<double> normal_, jacobian_, bent_;  ///< of one look
+    SpaceLoss* fewer_ = nullptr;
     std::size_t evaluations_ = 0;
 };
 

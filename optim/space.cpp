@@ -20,10 +20,40 @@ constexpr double kPi = std::numbers::pi;
 constexpr double kLargestCoefficient = 1e100;
 /// The smallest length of a homogeneous pair that is told from 0.
 constexpr double kLogSmallestLength = -345.0;  // ln 1e-150
+/// exp of less is 0, which takes it long to find.
+constexpr double kLogUnderflow = -746.0;
 
 /// A coefficient came out of the evaluator at its bound, to single precision.
 bool at_lower(double c, double bound) { return c <= bound * (1 + 1e-6); }
 bool at_upper(double c, double bound) { return c >= bound * (1 - 1e-6); }
+
+/// d coefficients/d u and d parameters/d u, row by row.
+class Slopes {
+public:
+    /// rows: where each parameter's slopes stand; those of coefficients come first.
+    Slopes(std::span<double> all, const std::vector<std::size_t>& rows, std::size_t dimension)
+        : all_(all), rows_(rows), dimension_(dimension) {}
+    [[nodiscard]] std::span<double> coefficient(std::size_t t) { return all_.subspan(t * dimension_, dimension_); }
+    [[nodiscard]] std::span<double> parameter(std::size_t i) { return coefficient(rows_[i]); }
+
+private:
+    std::span<double> all_;
+    const std::vector<std::size_t>& rows_;
+    std::size_t dimension_;
+};
+
+/// to += factor row. What is 0 stays so, whatever the factor.
+void add(std::span<double> to, double factor, std::span<const double> row) {
+    for (std::size_t j = 0; j < to.size(); ++j)
+        if (row[j] != 0) to[j] += factor * row[j];
+}
+
+/// Where slopes are asked for.
+struct Placed {
+    const Candidate& candidate;
+    std::span<const double> coefficients;
+    double scale;
+};
 
 }  // namespace
 
@@ -33,14 +63,12 @@ public:
     [[nodiscard]] virtual std::size_t dimension() const { return 1; }
     /// The homogeneous term of which this is the direction.
     [[nodiscard]] virtual std::optional<std::size_t> lobe() const { return std::nullopt; }
-    /// Numbers that apply() leaves for fold() and gradient(), which are called many times for a candidate.
+    /// Numbers that apply() leaves for slopes().
     [[nodiscard]] virtual std::size_t notes() const { return 1; }
     virtual void apply(std::span<const double> u, Candidate& out, std::span<double> notes) const = 0;
-    virtual void gradient(std::span<const double> notes, std::span<const double> by_parameter,
-                          std::span<const double> by_coefficient, std::span<double> by_u) const = 0;
-    /// Adds to by_parameter what a parameter of another axis moves in this one, bounds of coefficients included.
-    virtual void fold(std::span<const double> /*notes*/, const Candidate&, std::span<const double> /*coefficients*/,
-                      std::span<const double> /*by_coefficient*/, std::span<double> /*by_parameter*/) const {}
+    /// Adds what the axis's coordinates, from `first` on, move. Must come after the axes that apply() reads.
+    virtual void add_slopes(const Placed& at, std::span<const double> notes, std::size_t first,
+                            Slopes& slopes) const = 0;
     /// Turns a candidate's parameters into the model's: only a lobe's height has work to do.
     virtual void finish(std::span<const double> /*coefficients*/, std::vector<double>& /*parameters*/) const {}
     virtual void locate(const std::vector<double>& parameters, std::span<double> u) const = 0;
@@ -71,9 +99,8 @@ public:
         out.parameters[index_] = std::clamp(bounds_.min + level_.value(u[0]), bounds_.min, bounds_.max);
         notes[0] = level_.slope(u[0]);
     }
-    void gradient(std::span<const double> notes, std::span<const double> by_parameter, std::span<const double>,
-                  std::span<double> by_u) const override {
-        by_u[0] = by_parameter[index_] * notes[0];
+    void add_slopes(const Placed&, std::span<const double> notes, std::size_t first, Slopes& slopes) const override {
+        slopes.parameter(index_)[first] = notes[0];
     }
     void locate(const std::vector<double>& parameters, std::span<double> u) const override {
         u[0] = level_.place(parameters[index_] - bounds_.min);
@@ -104,9 +131,8 @@ public:
         out.parameters[index_] = std::clamp(value, bounds_.min, bounds_.max);
         notes[0] = log_ ? out.parameters[index_] * range_ : range_;
     }
-    void gradient(std::span<const double> notes, std::span<const double> by_parameter, std::span<const double>,
-                  std::span<double> by_u) const override {
-        by_u[0] = by_parameter[index_] * notes[0];
+    void add_slopes(const Placed&, std::span<const double> notes, std::size_t first, Slopes& slopes) const override {
+        slopes.parameter(index_)[first] = notes[0];
     }
     void locate(const std::vector<double>& parameters, std::span<double> u) const override {
         u[0] = to_u(std::clamp(parameters[index_], bounds_.min, bounds_.max));
@@ -153,10 +179,11 @@ public:
         notes[2] = kPi * (index.n_phi + index.n_r * u[0] * leaves.slope);
         notes[3] = kPi * (index.k_phi + index.k_r * u[0] * leaves.slope);
     }
-    void gradient(std::span<const double> notes, std::span<const double> by_parameter, std::span<const double>,
-                  std::span<double> by_u) const override {
-        by_u[0] = by_parameter[n_] * notes[0] + by_parameter[k_] * notes[1];
-        by_u[1] = by_parameter[n_] * notes[2] + by_parameter[k_] * notes[3];
+    void add_slopes(const Placed&, std::span<const double> notes, std::size_t first, Slopes& slopes) const override {
+        slopes.parameter(n_)[first] = notes[0];
+        slopes.parameter(k_)[first] = notes[1];
+        slopes.parameter(n_)[first + 1] = notes[2];
+        slopes.parameter(k_)[first + 1] = notes[3];
     }
     void locate(const std::vector<double>& parameters, std::span<double> u) const override {
         // rho = (N - 1)/(N + 1)
@@ -269,7 +296,8 @@ public:
         const double y = out.parameters[y_] = sine / support.value;
         const Longest longest = longest_along(x, y);
         const double log_length = std::log(longest.length);
-        out.lower[term_] = std::exp(degree * kLogSmallestLength);
+        const double log_least = degree * kLogSmallestLength;
+        out.lower[term_] = log_least < kLogUnderflow ? 0.0 : std::exp(log_least);
         out.upper[term_] = std::exp(degree * log_length);
         const double shrinks = support.slope / support.value;
         notes[kXByAngle] = -y - x * shrinks;
@@ -283,25 +311,30 @@ public:
         notes[kHeightByU] = height > out.upper[term_] ? 0.0 : height_->slope(u[1]);  // none where it is held
         out.lower[term_] = out.upper[term_] = std::min(height, out.upper[term_]);
     }
-    void fold(std::span<const double> notes, const Candidate& at, std::span<const double> c,
-              std::span<const double> by_coefficient, std::span<double> by_parameter) const override {
-        const double degree = at.parameters[degree_];
-        const double gain = by_coefficient[term_] * c[term_];
-        const bool at_longest = height_ ? notes[kHeightByU] == 0 : at_upper(c[term_], at.upper[term_]);
-        if (at_longest && at.upper[term_] < kLargestCoefficient) {
+    void add_slopes(const Placed& at, std::span<const double> notes, std::size_t first, Slopes& slopes) const override {
+        const Candidate& candidate = at.candidate;
+        const double c = at.coefficients[term_];
+        const double degree = candidate.parameters[degree_];
+        // The angle moves with u and with the degree.
+        const std::span<const double> by_degree = slopes.parameter(degree_);
+        const auto add_angle = [&](std::span<double> to, double factor) {
+            to[first] += factor * notes[kAngleByU];
+            add(to, factor * notes[kAngleByDegree], by_degree);
+        };
+        add_angle(slopes.parameter(x_), notes[kXByAngle]);
+        add_angle(slopes.parameter(y_), notes[kYByAngle]);
+        const std::span<double> coefficient = slopes.coefficient(term_);
+        const bool at_longest = height_ ? notes[kHeightByU] == 0 : at_upper(c, candidate.upper[term_]);
+        if (at_longest && candidate.upper[term_] < kLargestCoefficient) {
             // ln upper = degree ln R, and R = bound/|x| or bound/|y| along this direction
-            by_parameter[degree_] += gain * notes[kLogLongest];
-            const std::size_t side = notes[kLongestByX] != 0 ? x_ : y_;
-            by_parameter[side] -= gain * degree / at.parameters[side];
-        } else if (!height_ && at_lower(c[term_], at.lower[term_])) {
-            by_parameter[degree_] += gain * kLogSmallestLength;
+            const bool by_x = notes[kLongestByX] != 0;
+            add(coefficient, c * notes[kLogLongest], by_degree);
+            add_angle(coefficient,
+                      -c * degree / candidate.parameters[by_x ? x_ : y_] * notes[by_x ? kXByAngle : kYByAngle]);
+        } else if (!height_ && at_lower(c, candidate.lower[term_])) {
+            add(coefficient, c * kLogSmallestLength, by_degree);
         }
-        by_parameter[degree_] += by_angle(notes, by_parameter) * notes[kAngleByDegree];
-    }
-    void gradient(std::span<const double> notes, std::span<const double> by_parameter,
-                  std::span<const double> by_coefficient, std::span<double> by_u) const override {
-        if (height_) by_u[1] = by_coefficient[term_] * notes[kHeightByU];
-        by_u[0] = by_angle(notes, by_parameter) * notes[kAngleByU];
+        if (height_) coefficient[first + 1] += at.scale * notes[kHeightByU];
     }
     void finish(std::span<const double> c, std::vector<double>& parameters) const override {
         const double height = c[term_];
@@ -365,10 +398,6 @@ private:
         return support.value > least ? support : Support{least, 0};
     }
 
-    /// d/d psi of (x, y) = (cos psi, sin psi)/S, applied to the slopes by x and y.
-    [[nodiscard]] double by_angle(std::span<const double> notes, std::span<const double> by_parameter) const {
-        return notes[kXByAngle] * by_parameter[x_] + notes[kYByAngle] * by_parameter[y_];
-    }
     /// The length at which the ray along (x, y) leaves the bounds, and through which side.
     struct Longest {
         double length;
@@ -429,9 +458,19 @@ SearchSpace::SearchSpace(const Model& model, std::vector<Interval> bounds, Unkno
     }
     for (auto& axis : directions) axes_.push_back(std::move(axis));  // they read the degrees set before
     lobes_.insert(lobes_.end(), their_lobes.begin(), their_lobes.end());
-    for (const auto& axis : axes_) dimension_ += axis->dimension();
-    for (const auto& axis : axes_) notes_ += axis->notes();
+    for (const auto& axis : axes_) {
+        places_.push_back({axis.get(), dimension_, axis->dimension(), notes_, axis->notes()});
+        dimension_ += axis->dimension();
+        notes_ += axis->notes();
+    }
     if (scaled()) ++dimension_;
+    rows_.resize(bounds_.size());
+    std::size_t row = model.terms.size();
+    for (const std::size_t parameter : nonlinear_) rows_[parameter] = row++;
+    for (std::size_t i = 0; i < rows_.size(); ++i)
+        if (rows_[i] == 0) rows_[i] = row++;
+    for (std::size_t i = 0; i < bounds_.size(); ++i)
+        held_.push_back(bounds_[i].fixed() && (all || !model.is_linear(i)) ? bounds_[i].min : 0.0);
 }
 
 SearchSpace::~SearchSpace() = default;
@@ -449,19 +488,13 @@ Candidate SearchSpace::candidate(std::span<const double> u) const {
 
 void SearchSpace::place(std::span<const double> u, Candidate& out) const {
     const bool all = unknowns_ == Unknowns::all;
-    out.parameters.resize(model_.parameters.size());
-    for (std::size_t i = 0; i < bounds_.size(); ++i)
-        out.parameters[i] = bounds_[i].fixed() && (all || !model_.is_linear(i)) ? bounds_[i].min : 0.0;
+    out.parameters = held_;
     out.lower.assign(model_.terms.size(), 1.0);
     out.upper.assign(model_.terms.size(), 1.0);
     out.notes.resize(notes_);
-    std::size_t first = 0;
-    std::size_t note = 0;
-    for (const auto& axis : axes_) {
-        axis->apply(u.subspan(first, axis->dimension()), out, std::span(out.notes).subspan(note, axis->notes()));
-        first += axis->dimension();
-        note += axis->notes();
-    }
+    for (const Place& place : places_)
+        place.axis->apply(u.subspan(place.first, place.coordinates), out,
+                          std::span(out.notes).subspan(place.note, place.notes));
     for (std::size_t t = 0; t < model_.terms.size(); ++t)
         if (const auto factor = model_.terms[t].factor) {
             out.lower[t] = all ? out.parameters[*factor] : bounds_[*factor].min;
@@ -475,50 +508,38 @@ void SearchSpace::place(std::span<const double> u, Candidate& out) const {
 void SearchSpace::gradient(std::span<const double> u, const Candidate& at, std::span<const double> coefficients,
                            std::span<const double> by_parameter, std::span<const double> by_coefficient,
                            std::span<double> by_u) const {
-    std::vector<double> slopes(by_parameter.begin(), by_parameter.end());
-    std::vector<double> by_scaled(by_coefficient.begin(), by_coefficient.end());  // by the coefficient over the scale
-    const double unit = scale(u);
-    for (double& slope : by_scaled) slope *= unit;
-    if (unknowns_ == Unknowns::all)
-        for (std::size_t t = 0; t < model_.terms.size(); ++t)
-            if (const auto factor = model_.terms[t].factor) slopes[*factor] += by_scaled[t];
-    std::size_t note = 0;
-    for (const auto& axis : axes_) {
-        axis->fold(std::span(at.notes).subspan(note, axis->notes()), at, coefficients, by_coefficient, slopes);
-        note += axis->notes();
-    }
-    std::size_t first = 0;
-    note = 0;
-    for (const auto& axis : axes_) {
-        axis->gradient(std::span(at.notes).subspan(note, axis->notes()), slopes, by_scaled,
-                       by_u.subspan(first, axis->dimension()));
-        first += axis->dimension();
-        note += axis->notes();
-    }
-    if (!scaled()) return;
-    // The scale moves the bounds of every coefficient, and with them the coefficients that stand there.
-    double sum = 0;
-    for (std::size_t t = 0; t < model_.terms.size(); ++t)
-        if (at_lower(coefficients[t], at.lower[t]) ||
-            (at_upper(coefficients[t], at.upper[t]) && at.upper[t] < kLargestCoefficient))
-            sum += by_coefficient[t] * coefficients[t];
-    by_u[first] = sum * std::log(scale_.max / scale_.min);
+    std::vector<double> slopes;
+    jacobian(u, at, coefficients, slopes);
+    gradient(slopes, by_parameter, by_coefficient, by_u);
 }
 
-std::vector<double> SearchSpace::jacobian(std::span<const double> u, const Candidate& at,
-                                          std::span<const double> coefficients) const {
-    std::vector<double> by_parameter(model_.parameters.size(), 0.0);
-    std::vector<double> by_coefficient(model_.terms.size(), 0.0);
-    std::vector<double> result;
-    const auto add_row = [&](double& entry) {
-        entry = 1;
-        result.resize(result.size() + dimension_);
-        gradient(u, at, coefficients, by_parameter, by_coefficient, std::span(result).last(dimension_));
-        entry = 0;
+void SearchSpace::gradient(std::span<const double> jacobian, std::span<const double> by_parameter,
+                           std::span<const double> by_coefficient, std::span<double> by_u) const {
+    std::fill(by_u.begin(), by_u.end(), 0.0);
+    const auto add_row = [&](double by) {
+        add(by_u, by, jacobian.first(dimension_));
+        jacobian = jacobian.subspan(dimension_);
     };
-    for (double& entry : by_coefficient) add_row(entry);
+    for (const double by : by_coefficient) add_row(by);
     for (const std::size_t parameter : nonlinear_) add_row(by_parameter[parameter]);
-    return result;
+}
+
+void SearchSpace::jacobian(std::span<const double> u, const Candidate& at, std::span<const double> coefficients,
+                           std::vector<double>& out) const {
+    const std::size_t terms = model_.terms.size();
+    const Placed placed{at, coefficients, scale(u)};
+    out.assign((terms + model_.parameters.size()) * dimension_, 0.0);
+    Slopes slopes(out, rows_, dimension_);
+    for (const Place& place : places_)
+        place.axis->add_slopes(placed, std::span(at.notes).subspan(place.note, place.notes), place.first, slopes);
+    for (std::size_t t = 0; t < terms; ++t) {
+        const auto factor = model_.terms[t].factor;
+        if (factor && unknowns_ == Unknowns::all) add(slopes.coefficient(t), placed.scale, slopes.parameter(*factor));
+        // The scale moves the bounds of every coefficient, and with them the coefficients that stand there.
+        if (scaled() && (at_lower(coefficients[t], at.lower[t]) ||
+                         (at_upper(coefficients[t], at.upper[t]) && at.upper[t] < kLargestCoefficient)))
+            slopes.coefficient(t).back() = coefficients[t] * std::log(scale_.max / scale_.min);
+    }
 }
 
 bool SearchSpace::is_free(double coefficient, double lower, double upper) {

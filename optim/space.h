@@ -62,6 +62,8 @@ public:
 
     [[nodiscard]] const kernels::Model& model() const { return model_; }
     [[nodiscard]] std::size_t dimension() const { return dimension_; }
+    /// Nonlinear parameters of the model, Q.
+    [[nodiscard]] std::size_t nonlinear() const { return nonlinear_.size(); }
     [[nodiscard]] Unknowns unknowns() const { return unknowns_; }
     [[nodiscard]] Candidate candidate(std::span<const double> u) const;
     /// The same, in memory that may have held another.
@@ -72,9 +74,12 @@ public:
                   std::span<const double> by_parameter, std::span<const double> by_coefficient,
                   std::span<double> by_u) const;
     /// d (c, nonlinear parameters)/d u, (T + Q) x d, in the order of kernels::Batch::normal: of coefficients what their
-    /// bounds move where they stand on them.
-    [[nodiscard]] std::vector<double> jacobian(std::span<const double> u, const Candidate& at,
-                                               std::span<const double> coefficients) const;
+    /// bounds move where they stand on them. More rows, of the other parameters, may follow.
+    void jacobian(std::span<const double> u, const Candidate& at, std::span<const double> coefficients,
+                  std::vector<double>& out) const;
+    /// The gradient as above, by that Jacobian.
+    void gradient(std::span<const double> jacobian, std::span<const double> by_parameter,
+                  std::span<const double> by_coefficient, std::span<double> by_u) const;
     /// Whether the coefficient lies between its bounds, where the evaluator chooses it.
     [[nodiscard]] static bool is_free(double coefficient, double lower, double upper);
     /// The model's parameters at u and c, within their bounds, and the scale.
@@ -108,6 +113,14 @@ private:
     ScaleRange scale_;
     std::vector<std::unique_ptr<Axis>> axes_;
     std::vector<std::optional<std::size_t>> lobes_;  ///< of each axis
+    /// An axis, its coordinates and its notes among all.
+    struct Place {
+        const Axis* axis;
+        std::size_t first, coordinates, note, notes;
+    };
+    std::vector<Place> places_;
+    std::vector<std::size_t> rows_;  ///< of each parameter among the slopes
+    std::vector<double> held_;       ///< parameters before any axis has set its own
     std::size_t dimension_ = 0;
     std::size_t notes_ = 0;
 };

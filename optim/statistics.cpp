@@ -58,6 +58,8 @@ Errors errors_of(const Channel& channel, std::span<const double> f, std::vector<
 
 Residuals residuals(const Weighted& weighted, std::span<const double> f) {
     Residuals result;
+    result.r.resize(f.size());
+    result.by_f.resize(f.size());
     for (std::size_t j = 0; j < f.size(); ++j) {
         double r = 0;
         double by_f = 0;
@@ -70,8 +72,8 @@ Residuals residuals(const Weighted& weighted, std::span<const double> f) {
             by_f = 1;
         }
         result.loss2 += weighted.influence(weighted.weight[j] * r * r).loss;
-        result.r.push_back(r);
-        result.by_f.push_back(by_f);
+        result.r[j] = r;
+        result.by_f[j] = by_f;
     }
     return result;
 }
@@ -144,7 +146,9 @@ void describe_evidence(double deviance, std::size_t samples, std::size_t free, F
 double standard_errors_of_interval(double degrees) {
     constexpr double kUpper = (1 + kConfidence) / 2;
     if (!std::isfinite(degrees)) return boost::math::quantile(boost::math::normal(), kUpper);
-    return boost::math::quantile(boost::math::students_t(std::max(degrees, 1.0)), kUpper);
+    // In double alone: long double would take most of the time of a small fit's standard errors.
+    using Policy = boost::math::policies::policy<boost::math::policies::promote_double<false>>;
+    return boost::math::quantile(boost::math::students_t_distribution<double, Policy>(std::max(degrees, 1.0)), kUpper);
 }
 
 }  // namespace brdfit::optim

@@ -140,7 +140,7 @@ Variant::Variant(const Work& work, const kernels::Model& model)
            prepared.scale} {
     if (!std::isfinite(weighted.norm))
         throw SearchError("the weights of this loss overflow: a value or a sigma is too small beside the others");
-    for (const double size : work.noise.sigma) sigma.push_back(size / prepared.unit);
+    for (const double size : work.noise.get().sigma) sigma.push_back(size / prepared.unit);
 }
 
 void Variant::require_possible() const {

@@ -31,7 +31,7 @@ struct Work {
     kernels::Engine& engine;
     const Channel& channel;
     const Directions& directions;
-    const Noise& noise;
+    const NoiseOf& noise;
     Unit unit;
     const ModelRequest& request;
     const FitOptions& options;

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 #include <numeric>
@@ -68,6 +69,60 @@ TEST(Descents, EndOnThePathOfABetterOne) {
     looked = 0;
     (void)descend_together(counting, {{0.9, 0.9}, {0.9, 0.9}}, {1e-9, 1e-20, 200}, {});
     EXPECT_EQ(looked, one + 1);
+}
+
+TEST(Descents, EndEarlyWhereTheyLackTooMuchOfTheBest) {
+    std::size_t looked = 0;
+    const Landscape two_valleys = [&](std::span<const std::vector<double>> points) {
+        looked += points.size();
+        std::vector<Look> looks;
+        for (const std::vector<double>& u : points) {
+            const bool higher = u[0] > 0.5;
+            looks.push_back(valley(higher ? 0.8 : 0.2, 0.3)({&u, 1}).front());
+            if (higher) looks.back().value += 1;
+        }
+        return looks;
+    };
+    const std::vector<std::vector<double>> starts{{0.1, 0.9}, {0.9, 0.9}};
+    DescentGoal goal{1e-9, 1e-20, 200};
+    const std::vector<Minimum> followed = descend_together(two_valleys, starts, goal, {});
+    const std::size_t all = looked;
+    looked = 0;
+    goal.hopeful = 0.1;
+    const std::vector<Minimum> ends = descend_together(two_valleys, starts, goal, {});
+    EXPECT_LT(looked, all);
+    EXPECT_EQ(ends[0].u, followed[0].u);
+    EXPECT_GT(ends[1].loss2, followed[1].loss2);
+}
+
+TEST(Screening, LooksAtFewSamplesFirstAndAtTheBetterPointsWhole) {
+    const kernels::Model& model = catalogue().find("he_torrance")->variant();
+    std::vector<optim::Interval> bounds;
+    for (const kernels::Parameter& p : model.parameters) bounds.push_back({p.min, p.max});
+    const SearchSpace space(model, bounds);
+    const auto loss_over = [&](double step) {
+        const auto directions = scan_directions({15, 45, 70}, step);
+        const std::vector<double> y = model_values(model, {0.3, 3, 1.5, 0, 0.2}, directions);
+        return kernels::Evaluator(engine(), model, engine().best_precision(), directions, y,
+                                  std::vector<double>(y.size(), 1 / static_cast<double>(y.size())));
+    };
+    kernels::Evaluator all = loss_over(2), few = loss_over(8);
+    SpaceLoss loss(all, space, 1), fewer(few, space, 1);
+    const auto points = optim::screening_points(space, 64, 1);
+    const std::vector<double> exact = loss.screen(points, {});
+    EXPECT_EQ(loss.screen_roughly(points, 4, {}), exact);  // there are no fewer
+    loss.glance_through(fewer);
+    const std::size_t before = loss.evaluations();
+    const std::vector<double> rough = loss.screen_roughly(points, 4, {});
+    EXPECT_EQ(loss.evaluations(), before + 64 + 16);
+    std::size_t kept = 0;
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        if (rough[i] == std::numeric_limits<double>::max()) continue;
+        EXPECT_EQ(rough[i], exact[i]);
+        ++kept;
+    }
+    EXPECT_EQ(kept, 16U);
+    EXPECT_EQ(*std::min_element(rough.begin(), rough.end()), *std::min_element(exact.begin(), exact.end()));
 }
 
 TEST(Descents, TurnBackFromWhatIsNotFinite) {
