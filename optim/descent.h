@@ -19,6 +19,7 @@ struct DescentGoal {
     double absolute = 1e-24;
     int looks = 60;         ///< most evaluations of a descent
     double damping = 1e-2;  ///< Marquardt's, of the first step
+    double apart = 2e-3;    ///< in some coordinate: two descents that come nearer are on one path
 };
 
 /// Descends from every start, one launch for the next step of all; returns the ends in the order of the starts. A

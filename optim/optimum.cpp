@@ -302,10 +302,14 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
     const bool coarse = !task.precision && task.model.begins_quickly();
     const kernels::Precision quick = coarse ? task.engine.quickest_precision() : precision;
     const kernels::Accuracy accuracy = coarse ? task.model.first_accuracy() : kernels::Accuracy::full;
+    std::optional<Thinned> thin;
+    std::optional<kernels::DirectionSet> thin_directions;
     if (squares.y.size() > kThinAbove) {
-        const Thinned thin = thinned(squares, task.directions.directions(), task.control.seed);
-        add_stage(quick, accuracy, thin.directions, thin.data);
+        thin = thinned(squares, task.directions.directions(), task.control.seed);
+        thin_directions.emplace(thin->directions);
+        add_stage(quick, accuracy, *thin_directions, thin->data);
     }
+    const StepScan scan(task.model, thin_directions ? *thin_directions : task.directions, thin ? thin->data : squares);
     if (coarse) add_stage(quick, accuracy, task.directions, squares);
     add_stage(precision, kernels::Accuracy::full, task.directions, squares);
     SpaceLoss& exact = *stages.back();
@@ -313,7 +317,7 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
     std::vector<std::vector<double>> seeds = special_starts(task, *stages.front());
     if (smaller != nullptr) seeds.push_back(space.coordinates(smaller->parameters, smaller->scale));
     SearchResult found =
-        search_space(stages, budget(effort, space.dimension(), task.model.repeats), task.control, seeds);
+        search_space(stages, budget(effort, space.dimension(), task.model.repeats), task.control, seeds, &scan);
     found.best.loss2 /= scale2;
     Separable result{optimum_at(task, space, found.best, found.record), {}};
     add_others(space, exact, found, result.optimum);

@@ -578,32 +578,43 @@ std::vector<std::vector<std::size_t>> SearchSpace::blocks() const {
     return result;
 }
 
-std::vector<std::vector<double>> SearchSpace::spikes(const std::vector<double>& u,
-                                                     const std::vector<std::size_t>& block, std::size_t most) const {
-    std::vector<std::vector<double>> result;
+std::optional<std::size_t> SearchSpace::lobe(const std::vector<std::size_t>& block) const {
     std::size_t first = 0;
     for (std::size_t i = 0; i < axes_.size(); first += axes_[i++]->dimension()) {
         const std::optional<std::size_t> term = axes_[i]->lobe();
         if (!term || std::find(block.begin(), block.end(), first) == block.end()) continue;
-        const Term::Homogeneous& lobe = *model_.terms[*term].homogeneous;
-        if (seen_ == nullptr || !lobe.columns || bounds_[lobe.degree].fixed()) continue;
-        std::vector<double> angles;  // of the samples, in the plane of the lobe's columns
-        for (const auto& [a, b] : seen_->points(lobe.columns->first, lobe.columns->second))
-            angles.push_back(std::atan2(b, a));
-        std::sort(angles.begin(), angles.end());
-        angles.erase(std::unique(angles.begin(), angles.end()), angles.end());
-        std::vector<double> parameters = candidate(u).parameters;
-        parameters[lobe.degree] = bounds_[lobe.degree].max;
-        const std::size_t count = std::min(angles.size(), most);
-        for (std::size_t k = 0; k < count; ++k) {
-            const double psi = angles[k * angles.size() / count];
-            parameters[lobe.plane.first] = std::cos(psi);
-            parameters[lobe.plane.second] = std::sin(psi);
-            const std::vector<double> there = coordinates(parameters, scale(u));
-            result.push_back(u);
-            for (const std::size_t j : block) result.back()[j] = there[j];
-        }
+        const Term::Homogeneous& of = *model_.terms[*term].homogeneous;
+        if (of.columns && !bounds_[of.degree].fixed()) return term;
     }
+    return std::nullopt;
+}
+
+std::vector<double> SearchSpace::turned(const std::vector<double>& u, const std::vector<std::size_t>& block, double psi,
+                                        double degree) const {
+    const Term::Homogeneous& of = *model_.terms[lobe(block).value()].homogeneous;
+    std::vector<double> parameters = candidate(u).parameters;
+    parameters[of.degree] = std::clamp(degree, bounds_[of.degree].min, bounds_[of.degree].max);
+    parameters[of.plane.first] = std::cos(psi);
+    parameters[of.plane.second] = std::sin(psi);
+    const std::vector<double> there = coordinates(parameters, scale(u));
+    std::vector<double> result = u;
+    for (const std::size_t j : block) result[j] = there[j];
+    return result;
+}
+
+std::vector<std::vector<double>> SearchSpace::spikes(const std::vector<double>& u,
+                                                     const std::vector<std::size_t>& block, std::size_t most) const {
+    std::vector<std::vector<double>> result;
+    const std::optional<std::size_t> term = lobe(block);
+    if (seen_ == nullptr || !term) return result;
+    const Term::Homogeneous& of = *model_.terms[*term].homogeneous;
+    std::vector<double> angles;  // of the samples, in the plane of the lobe's columns
+    for (const auto& [a, b] : seen_->points(of.columns->first, of.columns->second)) angles.push_back(std::atan2(b, a));
+    std::sort(angles.begin(), angles.end());
+    angles.erase(std::unique(angles.begin(), angles.end()), angles.end());
+    const std::size_t count = std::min(angles.size(), most);
+    for (std::size_t k = 0; k < count; ++k)
+        result.push_back(turned(u, block, angles[k * angles.size() / count], bounds_[of.degree].max));
     return result;
 }
 

@@ -94,6 +94,11 @@ public:
     [[nodiscard]] std::vector<std::vector<double>> spikes(const std::vector<double>& u,
                                                           const std::vector<std::size_t>& block,
                                                           std::size_t most) const;
+    /// The homogeneous term whose degree and direction these coordinates hold, where it has columns; none for others.
+    [[nodiscard]] std::optional<std::size_t> lobe(const std::vector<std::size_t>& block) const;
+    /// The point with the lobe of these coordinates turned to psi [rad] in its plane, of another degree.
+    [[nodiscard]] std::vector<double> turned(const std::vector<double>& u, const std::vector<std::size_t>& block,
+                                             double psi, double degree) const;
     [[nodiscard]] const std::vector<Interval>& bounds() const { return bounds_; }
 
 private:
