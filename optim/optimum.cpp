@@ -309,7 +309,7 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
         thin_directions.emplace(thin->directions);
         add_stage(quick, accuracy, *thin_directions, thin->data);
     }
-    const StepScan scan(task.model, thin_directions ? *thin_directions : task.directions, thin ? thin->data : squares);
+    StepScan scan(task.model, thin_directions ? *thin_directions : task.directions, thin ? thin->data : squares);
     if (coarse) add_stage(quick, accuracy, task.directions, squares);
     add_stage(precision, kernels::Accuracy::full, task.directions, squares);
     SpaceLoss& exact = *stages.back();

@@ -172,14 +172,14 @@ constexpr DescentGoal kExactGoal{1e-11, 1e-26, 100};
 /// Samples at which a spike is tried in place of a lobe of the best end.
 constexpr std::size_t kMostSpikes = 200;
 /// Steps a few samples apart are near each other in the cube, and other minima.
-constexpr DescentGoal kStepGoal{1e-5, 1e-12, 60, 1e-2, 1e-6};
+constexpr DescentGoal kStepGoal{1e-7, 1e-12, 60, 1e-2, 1e-6};
 /// Steps are tried about so many of the best ends, then about the best while loss^2 gains this part, in so many rounds:
 /// at most so many of each lobe, where loss^2 is promised to be no more than so much of the best.
 constexpr std::size_t kStepBases = 3;
 constexpr double kStepGain = 1e-5;
 constexpr int kStepRounds = 3;
 constexpr std::size_t kMostSteps = 8;
-constexpr double kStepPromise = 1.02;
+constexpr double kStepPromise = 1.03;
 /// Rounds of exchanges, while each gains.
 constexpr int kExchangeRounds = 4;
 /// Of NLopt's SLSQP from each of the last ends, in all parameters.
@@ -333,8 +333,8 @@ std::vector<double> SpaceLoss::screen(const std::vector<std::vector<double>>& po
     return values;
 }
 
-std::vector<std::vector<double>> SpaceLoss::steps(const StepScan& scan, const Minimum& about, double within,
-                                                  std::size_t most, const SearchControl& control) {
+std::vector<std::vector<double>> SpaceLoss::steps(StepScan& scan, const Minimum& about, double within, std::size_t most,
+                                                  const SearchControl& control) {
     // What is like a step, and has a height the space can tell from 0.
     constexpr std::array<double, 3> kDegrees{0.012, 0.03, 0.1};
     Minimum base = about;
@@ -345,10 +345,11 @@ std::vector<std::vector<double>> SpaceLoss::steps(const StepScan& scan, const Mi
     for (const auto& block : space_.blocks()) {
         const std::optional<std::size_t> term = space_.lobe(block);
         if (!term) continue;
-        for (const Step& step : scan.best(*term, {values, base.coefficients, at.lower, at.upper}, most)) {
-            if (step.loss2 > within * scale2_) break;
-            for (const double degree : kDegrees) points.push_back(space_.turned(base.u, block, step.psi, degree));
-        }
+        std::vector<LobeShape> shapes;
+        for (const Step& step : scan.best(*term, {values, base.coefficients, at.lower, at.upper}, most))
+            for (const double degree : kDegrees)
+                if (step.loss2 <= within * scale2_) shapes.push_back({step.psi, degree});
+        for (auto& point : space_.shaped(base.u, block, shapes)) points.push_back(std::move(point));
     }
     const std::vector<double> losses = screen(points, control);
     std::vector<std::vector<double>> starts;
@@ -372,7 +373,7 @@ Minimum descend(const Objective& objective, std::vector<double> u, int max_evalu
 }
 
 SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget& budget, const SearchControl& control,
-                          const std::vector<std::vector<double>>& seeds, const StepScan* scan) {
+                          const std::vector<std::vector<double>>& seeds, StepScan* scan) {
     SpaceLoss& quick = *stages.front();
     SpaceLoss& exact = *stages.back();
     const SearchSpace& space = quick.space();

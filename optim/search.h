@@ -96,7 +96,7 @@ public:
     std::vector<double> screen(const std::vector<std::vector<double>>& points, const SearchControl& control);
     /// Starts about a minimum with a step in place of each lobe, where that promises a value of up to `within`: at most
     /// `most` of a lobe. Not with Unknowns::all.
-    std::vector<std::vector<double>> steps(const StepScan& scan, const Minimum& about, double within, std::size_t most,
+    std::vector<std::vector<double>> steps(StepScan& scan, const Minimum& about, double within, std::size_t most,
                                            const SearchControl& control);
     /// Fills in the loss, not divided, and the coefficients at minimum.u.
     void complete(Minimum& minimum);
@@ -135,7 +135,7 @@ std::vector<Minimum> distinct_ends(const std::vector<Minimum>& ends, double clos
 /// always: the result is no worse than any seed as the first stage sees it. `scan`, of the first stage's data and only
 /// with Unknowns::nonlinear: lobes are tried as steps; may be nullptr. Throws what they throw.
 SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget& budget, const SearchControl& control,
-                          const std::vector<std::vector<double>>& seeds, const StepScan* scan = nullptr);
+                          const std::vector<std::vector<double>>& seeds, StepScan* scan = nullptr);
 
 /// A smooth function on the unit cube: value, and its gradient unless that is empty.
 using Objective = std::function<double(std::span<const double> u, std::span<double> gradient)>;

@@ -589,33 +589,36 @@ std::optional<std::size_t> SearchSpace::lobe(const std::vector<std::size_t>& blo
     return std::nullopt;
 }
 
-std::vector<double> SearchSpace::turned(const std::vector<double>& u, const std::vector<std::size_t>& block, double psi,
-                                        double degree) const {
+std::vector<std::vector<double>> SearchSpace::shaped(const std::vector<double>& u,
+                                                     const std::vector<std::size_t>& block,
+                                                     std::span<const LobeShape> shapes) const {
     const Term::Homogeneous& of = *model_.terms[lobe(block).value()].homogeneous;
     std::vector<double> parameters = candidate(u).parameters;
-    parameters[of.degree] = std::clamp(degree, bounds_[of.degree].min, bounds_[of.degree].max);
-    parameters[of.plane.first] = std::cos(psi);
-    parameters[of.plane.second] = std::sin(psi);
-    const std::vector<double> there = coordinates(parameters, scale(u));
-    std::vector<double> result = u;
-    for (const std::size_t j : block) result[j] = there[j];
+    std::vector<std::vector<double>> result(shapes.size(), u);
+    for (std::size_t i = 0; i < shapes.size(); ++i) {
+        parameters[of.degree] = std::clamp(shapes[i].degree, bounds_[of.degree].min, bounds_[of.degree].max);
+        parameters[of.plane.first] = std::cos(shapes[i].psi);
+        parameters[of.plane.second] = std::sin(shapes[i].psi);
+        const std::vector<double> there = coordinates(parameters, scale(u));
+        for (const std::size_t j : block) result[i][j] = there[j];
+    }
     return result;
 }
 
 std::vector<std::vector<double>> SearchSpace::spikes(const std::vector<double>& u,
                                                      const std::vector<std::size_t>& block, std::size_t most) const {
-    std::vector<std::vector<double>> result;
     const std::optional<std::size_t> term = lobe(block);
-    if (seen_ == nullptr || !term) return result;
+    if (seen_ == nullptr || !term) return {};
     const Term::Homogeneous& of = *model_.terms[*term].homogeneous;
     std::vector<double> angles;  // of the samples, in the plane of the lobe's columns
     for (const auto& [a, b] : seen_->points(of.columns->first, of.columns->second)) angles.push_back(std::atan2(b, a));
     std::sort(angles.begin(), angles.end());
     angles.erase(std::unique(angles.begin(), angles.end()), angles.end());
     const std::size_t count = std::min(angles.size(), most);
+    std::vector<LobeShape> shapes;
     for (std::size_t k = 0; k < count; ++k)
-        result.push_back(turned(u, block, angles[k * angles.size() / count], bounds_[of.degree].max));
-    return result;
+        shapes.push_back({angles[k * angles.size() / count], bounds_[of.degree].max});
+    return shaped(u, block, shapes);
 }
 
 std::vector<Interval> SearchSpace::typical() const {

@@ -21,90 +21,67 @@ constexpr double kSameAngle = 1e-9;
 /// Gaps between samples that lie between two steps that are told.
 constexpr std::size_t kApart = 5;
 /// Of the changes of the other terms, beside their own squares.
-constexpr double kDamping = 1e-3;
+constexpr double kDamping = 1e-5;
 
-/// Sums over the samples that a step is 1 at.
-struct Sums {
-    double square = 0;  ///< of the step with itself
-    double moment = 0;  ///< with what the other terms leave of the data
-    VectorXd products;  ///< with the columns in which the other terms change
+using Rows = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+
+/// The other terms without a step: changed along columns, all of them or all but one whose term is taken away. What a
+/// step at some samples then gains follows from sums over these samples.
+struct Others {
+    double loss2 = 0;
+    VectorXd left;  ///< of the data, times the weights
+    Rows whitened;  ///< samples x columns, times the weights: columns of which the damped squares are the unit matrix
+    struct Floor {
+        double room;      ///< by which its change is above the least one
+        VectorXd in_sum;  ///< how a step's sums over `whitened` lower it, for a height of 1
+    };
+    std::vector<Floor> floors;
 };
 
-/// A set of the columns, with what they gain of loss^2 without a step.
-struct Combination {
-    std::vector<Index> columns;
-    MatrixXd inverse;  ///< of their Gram matrix
-    VectorXd without;  ///< changes along them
-    double gain = 0;
-    Index removed = -1;  ///< a column whose term is taken away altogether, ...
-    double amount = 0;   ///< by so much of it
-};
-
-/// How the other terms may change: along all columns, or without one of those that must stay above 0.
-class Changes {
-public:
-    /// columns: samples x m, of which those with a finite floor change by no less than it.
-    Changes(MatrixXd columns, VectorXd floors, const VectorXd& weights, const VectorXd& rest)
-        : floors_(std::move(floors)) {
-        const Index m = columns.cols();
-        for (Index k = 0; k < m; ++k) {
-            const double norm = std::sqrt(weights.dot(columns.col(k).cwiseAbs2()));
-            const bool seen = std::isfinite(norm) && norm > 0;
-            if (seen) columns.col(k) /= norm;
-            else columns.col(k).setZero();
-            floors_[k] *= seen ? norm : 1.0;
-        }
-        weighted_ = weights.asDiagonal() * columns;
-        MatrixXd gram = columns.transpose() * weighted_;
+/// columns: of norm 1, each with the least change along it (-HUGE_VAL for any).
+std::vector<Others> ways(const MatrixXd& columns, const VectorXd& least, const VectorXd& weights,
+                         const VectorXd& rest) {
+    std::vector<Others> result;
+    for (Index removed = -1; removed < columns.cols(); ++removed) {
+        if (removed >= 0 && !std::isfinite(least[removed])) continue;
+        std::vector<Index> kept;
+        for (Index k = 0; k < columns.cols(); ++k)
+            if (k != removed) kept.push_back(k);
+        const auto m = static_cast<Index>(kept.size());
+        const VectorXd target = removed >= 0 ? VectorXd(rest - least[removed] * columns.col(removed)) : rest;
+        const MatrixXd of = columns(Eigen::all, kept);
+        const MatrixXd weighted = weights.asDiagonal() * of;
+        MatrixXd gram = of.transpose() * weighted;
         gram.diagonal().array() += kDamping;
-        const VectorXd moment = weighted_.transpose() * rest;
-        for (Index removed = -1; removed < m; ++removed) {
-            if (removed >= 0 && !std::isfinite(floors_[removed])) continue;
-            Combination with;
-            for (Index k = 0; k < m; ++k)
-                if (k != removed) with.columns.push_back(k);
-            VectorXd left = moment;
-            if (removed >= 0) {
-                with.removed = removed;
-                with.amount = floors_[removed];
-                left -= with.amount * (gram.col(removed) - kDamping * VectorXd::Unit(m, removed));
-                with.gain = with.amount * (moment[removed] + left[removed]);
-            }
-            const auto n = static_cast<Index>(with.columns.size());
-            with.inverse = gram(with.columns, with.columns).ldlt().solve(MatrixXd::Identity(n, n));
-            with.without = with.inverse * left(with.columns);
-            with.gain += with.without.dot(left(with.columns));
-            combinations_.push_back(std::move(with));
-        }
+        const Eigen::LLT<MatrixXd> root(gram);
+        const VectorXd moment = weighted.transpose() * target;
+        const VectorXd change = root.solve(moment);
+        Others others;
+        others.loss2 = weights.dot(target.cwiseAbs2()) - change.dot(moment);
+        others.left = weights.cwiseProduct(target - of * change);
+        const MatrixXd inverse_root = root.matrixL().solve(MatrixXd::Identity(m, m));
+        others.whitened = weighted * inverse_root.transpose();
+        for (Index i = 0; i < m; ++i)
+            if (const double floor = least[kept[static_cast<std::size_t>(i)]]; std::isfinite(floor))
+                others.floors.push_back({change[i] - floor, inverse_root.col(i)});
+        result.push_back(std::move(others));
     }
+    return result;
+}
 
-    [[nodiscard]] const MatrixXd& weighted() const { return weighted_; }
+/// Sums over the samples on one side of an edge, and what a step there leaves of loss^2.
+struct Side {
+    double square = 0, moment = 0;
+    VectorXd products;
 
-    /// The most that loss^2 falls with a step above 0.
-    [[nodiscard]] double gain(const Sums& step) const {
-        double best = 0;
-        for (const Combination& with : combinations_) {
-            const VectorXd v = step.products(with.columns);
-            const VectorXd z = with.inverse * v;
-            double moment = step.moment - v.dot(with.without);
-            if (with.removed >= 0) moment -= with.amount * step.products[with.removed];
-            const double square = step.square - v.dot(z);
-            if (!(moment > 0) || !(square > 1e-9 * step.square)) continue;
-            const double height = moment / square;
-            const double gain = with.gain + moment * height;
-            bool possible = gain > best;
-            for (Index i = 0; i < v.size(); ++i)
-                possible =
-                    possible && with.without[i] - height * z[i] >= floors_[with.columns[static_cast<std::size_t>(i)]];
-            if (possible) best = gain;
-        }
-        return best;
+    [[nodiscard]] double loss2(const Others& others) const {
+        const double own = square - products.squaredNorm();
+        if (!(moment > 0) || !(own > 1e-9 * square)) return HUGE_VAL;
+        const double height = moment / own;
+        for (const Others::Floor& floor : others.floors)
+            if (height * floor.in_sum.dot(products) > floor.room) return HUGE_VAL;
+        return others.loss2 - moment * height;
     }
-
-private:
-    VectorXd floors_;
-    MatrixXd weighted_;
-    std::vector<Combination> combinations_;
 };
 
 struct Place {
@@ -115,17 +92,39 @@ struct Place {
 
 }  // namespace
 
-std::vector<Step> StepScan::best(std::size_t term, const StepBase& base, std::size_t most) const {
-    const kernels::Term::Homogeneous& lobe = *model_.terms[term].homogeneous;
-    const auto points = directions_.points(lobe.columns->first, lobe.columns->second);
+const StepScan::Order& StepScan::order_in(const std::pair<std::size_t, std::size_t>& columns) {
+    const auto [at, fresh] = orders_.try_emplace(columns);
+    Order& order = at->second;
+    if (!fresh) return order;
+    const auto points = directions_.points(columns.first, columns.second);
+    if (points.size() != data_.y.size()) return order;  // of many directions only some are told
+    std::vector<double> angles;
+    for (const auto& [a, b] : points) angles.push_back(std::atan2(b, a));
+    order.samples.resize(angles.size());
+    std::iota(order.samples.begin(), order.samples.end(), std::size_t{0});
+    std::sort(order.samples.begin(), order.samples.end(),
+              [&](std::size_t a, std::size_t b) { return angles[a] < angles[b]; });
+    for (const std::size_t j : order.samples) order.angles.push_back(angles[j]);
+    return order;
+}
+
+std::vector<Step> StepScan::best(std::size_t term, const StepBase& base, std::size_t most) {
+    const Order& order = order_in(*model_.terms[term].homogeneous->columns);
+    if (order.samples.empty()) return {};
     const std::size_t n = data_.y.size();
-    if (points.size() != n) return {};
     const auto samples = static_cast<Index>(n);
     const VectorXd weights = Eigen::Map<const VectorXd>(data_.weight.data(), samples);
 
     VectorXd rest = Eigen::Map<const VectorXd>(data_.y.data(), samples);
-    std::vector<VectorXd> columns;
-    std::vector<double> floors;
+    MatrixXd columns(samples, static_cast<Index>(model_.term_values()));
+    VectorXd least(columns.cols());
+    Index used = 0;
+    const auto add_column = [&](const auto& column, double floor) {
+        const double norm = std::sqrt(weights.dot(column.cwiseAbs2()));
+        if (!std::isfinite(norm) || !(norm > 0)) return;
+        columns.col(used) = column / norm;
+        least[used++] = floor * norm;
+    };
     std::size_t row = 0;
     for (std::size_t t = 0; t < model_.terms.size(); row += 1 + model_.terms[t++].of.size()) {
         if (t == term) continue;
@@ -134,42 +133,36 @@ std::vector<Step> StepScan::best(std::size_t term, const StepBase& base, std::si
         };
         const double c = base.coefficients[t];
         rest -= c * values(0);
-        const bool held = !(base.lower[t] < base.upper[t]);
-        const bool bends = c > 0 && !model_.terms[t].of.empty();
-        for (std::size_t k = 1; bends && k <= model_.terms[t].of.size(); ++k) {
-            columns.emplace_back(c * values(k));
-            floors.push_back(-HUGE_VAL);
-        }
-        // The height of a homogeneous term changes with its pair.
-        if (held || (bends && model_.terms[t].homogeneous)) continue;
-        columns.emplace_back(values(0));
-        floors.push_back(base.lower[t] - c);
+        const std::size_t slopes = c > 0 ? model_.terms[t].of.size() : 0;
+        for (std::size_t k = 1; k <= slopes; ++k) add_column(values(k), -HUGE_VAL);
+        // A homogeneous term's height changes with its pair.
+        const bool held = !(base.lower[t] < base.upper[t]) || (slopes > 0 && model_.terms[t].homogeneous);
+        if (!held) add_column(values(0), base.lower[t] - c);
     }
-    MatrixXd matrix(samples, static_cast<Index>(columns.size()));
-    for (std::size_t k = 0; k < columns.size(); ++k) matrix.col(static_cast<Index>(k)) = columns[k];
-    const Changes changes(std::move(matrix),
-                          Eigen::Map<const VectorXd>(floors.data(), static_cast<Index>(floors.size())), weights, rest);
-    const Sums all{weights.sum(), weights.dot(rest), changes.weighted().colwise().sum().transpose()};
-    const double without = weights.dot(rest.cwiseAbs2());
 
-    std::vector<double> angles(n);
-    for (std::size_t j = 0; j < n; ++j) angles[j] = std::atan2(points[j].second, points[j].first);
-    std::vector<std::size_t> order(n);
-    std::iota(order.begin(), order.end(), std::size_t{0});
-    std::sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return angles[a] < angles[b]; });
-    Sums below{0, 0, VectorXd::Zero(all.products.size())};
+    std::vector<double> below(n, HUGE_VAL), above(n, HUGE_VAL);  // loss^2 of steps on either side of the gap after each
+    for (const Others& others : ways(columns.leftCols(used), least.head(used), weights, rest)) {
+        const Side all{weights.sum(), others.left.sum(), others.whitened.colwise().sum().transpose()};
+        Side low{0, 0, VectorXd::Zero(others.whitened.cols())};
+        Side high = all;
+        for (std::size_t k = 0; k + 1 < n; ++k) {
+            const auto j = static_cast<Index>(order.samples[k]);
+            low.square += weights[j];
+            low.moment += others.left[j];
+            low.products += others.whitened.row(j).transpose();
+            high.square = all.square - low.square;
+            high.moment = all.moment - low.moment;
+            high.products = all.products - low.products;
+            below[k] = std::min(below[k], low.loss2(others));
+            above[k] = std::min(above[k], high.loss2(others));
+        }
+    }
     std::vector<Place> places;
     for (std::size_t k = 0; k + 1 < n; ++k) {
-        const auto j = static_cast<Index>(order[k]);
-        below.square += weights[j];
-        below.moment += weights[j] * rest[j];
-        below.products += changes.weighted().row(j).transpose();
-        const double next = angles[order[k + 1]];
-        if (next - angles[order[k]] < kSameAngle) continue;
-        const double edge = (angles[order[k]] + next) / 2;
-        const Sums above{all.square - below.square, all.moment - below.moment, all.products - below.products};
-        places.push_back({{edge - std::numbers::pi / 2, without - changes.gain(below)}, k, false});
-        places.push_back({{edge + std::numbers::pi / 2, without - changes.gain(above)}, k, true});
+        if (order.angles[k + 1] - order.angles[k] < kSameAngle) continue;
+        const double edge = (order.angles[k] + order.angles[k + 1]) / 2;
+        if (std::isfinite(below[k])) places.push_back({{edge - std::numbers::pi / 2, below[k]}, k, false});
+        if (std::isfinite(above[k])) places.push_back({{edge + std::numbers::pi / 2, above[k]}, k, true});
     }
     std::sort(places.begin(), places.end(), [](const Place& a, const Place& b) { return a.step.loss2 < b.step.loss2; });
     std::vector<Place> chosen;

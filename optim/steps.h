@@ -1,7 +1,10 @@
 /// Steps: what a lobe of the least exponent is at the samples, and the best places for one in a fit.
 #pragma once
 
+#include <cstddef>
+#include <map>
 #include <span>
+#include <utility>
 #include <vector>
 
 #include "kernels/evaluator.h"
@@ -35,9 +38,17 @@ public:
 
     /// The best steps in place of a homogeneous term that has columns, some samples apart, best first: at most so many.
     /// None where there are too many directions to look at each.
-    [[nodiscard]] std::vector<Step> best(std::size_t term, const StepBase& base, std::size_t most) const;
+    [[nodiscard]] std::vector<Step> best(std::size_t term, const StepBase& base, std::size_t most);
 
 private:
+    /// The samples by their angles in a plane of two columns; none where there are too many.
+    struct Order {
+        std::vector<std::size_t> samples;
+        std::vector<double> angles;  ///< in that order, rising
+    };
+    const Order& order_in(const std::pair<std::size_t, std::size_t>& columns);
+
+    std::map<std::pair<std::size_t, std::size_t>, Order> orders_;
     const kernels::Model& model_;
     const kernels::DirectionSet& directions_;
     const Weighted& data_;

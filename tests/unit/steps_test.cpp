@@ -127,7 +127,8 @@ TEST(Steps, TurnALobeAloneAndTellItFromOtherBlocks) {
         ++lobes;
         const auto& lobe = *model.terms[*term].homogeneous;
         for (const double psi : {-1.2, 0.1, 1.5, 3.0}) {
-            const std::vector<double> after = space.candidate(space.turned(u, block, psi, 0.03)).parameters;
+            const std::vector<double> after =
+                space.candidate(space.shaped(u, block, std::vector<optim::LobeShape>{{psi, 0.03}}).front()).parameters;
             EXPECT_NEAR(after[lobe.degree], 0.03, 1e-12);
             EXPECT_NEAR(std::remainder(std::atan2(after[lobe.plane.second], after[lobe.plane.first]) - psi, 2 * kPi), 0,
                         1e-9);
