@@ -337,14 +337,16 @@ std::vector<std::vector<double>> SpaceLoss::steps(StepScan& scan, const Minimum&
                                                   const SearchControl& control) {
     // What is like a step, and has a height the space can tell from 0.
     constexpr std::array<double, 3> kDegrees{0.012, 0.03, 0.1};
+    std::vector<std::vector<std::size_t>> lobes = space_.blocks();
+    std::erase_if(lobes, [&](const auto& block) { return !space_.lobe(block); });
+    if (lobes.empty()) return {};
     Minimum base = about;
     complete(base);
     const Candidate at = space_.candidate(base.u);
     const std::vector<double> values = evaluator_.terms(at.parameters);
     std::vector<std::vector<double>> points;
-    for (const auto& block : space_.blocks()) {
+    for (const auto& block : lobes) {
         const std::optional<std::size_t> term = space_.lobe(block);
-        if (!term) continue;
         std::vector<LobeShape> shapes;
         for (const Step& step : scan.best(*term, {values, base.coefficients, at.lower, at.upper}, most))
             for (const double degree : kDegrees)
