@@ -94,14 +94,11 @@ TEST(Steps, AreApart) {
     EXPECT_LE(steps.size(), 20U);
     for (std::size_t i = 0; i < steps.size(); ++i)
         for (std::size_t k = 0; k < i; ++k) {
-            std::size_t differ = 0, both = 0;
-            for (const auto& [a, b] : surface.points) {
-                const bool one = std::cos(steps[i].psi) * a + std::sin(steps[i].psi) * b > 0;
-                const bool other = std::cos(steps[k].psi) * a + std::sin(steps[k].psi) * b > 0;
-                differ += one != other;
-                both += one && other;
-            }
-            if (both == 0) continue;  // at opposite ends
+            if ((std::cos(steps[i].psi) > 0) != (std::cos(steps[k].psi) > 0)) continue;  // 1 on opposite sides
+            std::size_t differ = 0;
+            for (const auto& [a, b] : surface.points)
+                differ += (std::cos(steps[i].psi) * a + std::sin(steps[i].psi) * b > 0) !=
+                          (std::cos(steps[k].psi) * a + std::sin(steps[k].psi) * b > 0);
             EXPECT_GT(differ, 5U);
         }
 }
