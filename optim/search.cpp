@@ -344,21 +344,33 @@ std::vector<std::vector<double>> SpaceLoss::steps(StepScan& scan, const Minimum&
     complete(base);
     const Candidate at = space_.candidate(base.u);
     const std::vector<double> values = evaluator_.terms(at.parameters);
-    std::vector<std::vector<double>> points;
+    std::vector<std::vector<double>> starts;
     for (const auto& block : lobes) {
         const std::optional<std::size_t> term = space_.lobe(block);
         std::vector<LobeShape> shapes;
         for (const Step& step : scan.best(*term, {values, base.coefficients, at.lower, at.upper}, most))
             for (const double degree : kDegrees)
                 if (step.loss2 <= within * scale2_) shapes.push_back({step.psi, degree});
-        for (auto& point : space_.shaped(base.u, block, shapes)) points.push_back(std::move(point));
-    }
-    const std::vector<double> losses = screen(points, control);
-    std::vector<std::vector<double>> starts;
-    for (std::size_t i = 0; i < points.size(); i += kDegrees.size()) {
-        const auto first = losses.begin() + static_cast<std::ptrdiff_t>(i);
-        const auto least = std::min_element(first, first + static_cast<std::ptrdiff_t>(kDegrees.size()));
-        starts.push_back(std::move(points[static_cast<std::size_t>(least - losses.begin())]));
+        std::vector<std::vector<double>> points = space_.shaped(base.u, block, shapes);
+        const std::vector<double> losses = screen(points, control);
+        std::vector<std::vector<double>> chosen;
+        for (std::size_t i = 0; i < points.size(); i += kDegrees.size()) {
+            const auto first = losses.begin() + static_cast<std::ptrdiff_t>(i);
+            const auto least = std::min_element(first, first + static_cast<std::ptrdiff_t>(kDegrees.size()));
+            chosen.push_back(std::move(points[static_cast<std::size_t>(least - losses.begin())]));
+        }
+        // The other terms adapt before the step's edge moves: a sample in its way would hold up all of them.
+        const Landscape held = [&](auto points_there) {
+            std::vector<Look> seen = looks(points_there);
+            for (Look& look : seen)
+                for (const std::size_t j : block) {
+                    look.gradient[j] = 0;
+                    for (std::size_t k = 0, d = look.gradient.size(); k < d; ++k)
+                        look.curvature[j * d + k] = look.curvature[k * d + j] = 0;
+                }
+            return seen;
+        };
+        for (Minimum& end : descend_together(held, chosen, kStepGoal, control)) starts.push_back(std::move(end.u));
     }
     return starts;
 }
