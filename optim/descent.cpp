@@ -149,7 +149,6 @@ double distance(const std::vector<double>& a, const std::vector<double>& b) {
 
 std::vector<Minimum> descend_together(const Landscape& landscape, const std::vector<std::vector<double>>& starts,
                                       const DescentGoal& goal, const SearchControl& control) {
-    constexpr double kSamePath = 2e-3;
     std::vector<Descent> descents;
     descents.reserve(starts.size());
     for (const std::vector<double>& start : starts) descents.emplace_back(start, goal.damping);
@@ -180,7 +179,7 @@ std::vector<Minimum> descend_together(const Landscape& landscape, const std::vec
             }
             for (const Descent& other : descents)
                 if (&other != descent && other.end().loss2 <= descent->end().loss2 && !other.end().u.empty() &&
-                    distance(other.end().u, descent->end().u) < kSamePath &&
+                    distance(other.end().u, descent->end().u) < goal.apart &&
                     (other.end().loss2 < descent->end().loss2 || &other < descent)) {
                     descent->stop(StopReason::converged);
                     break;

@@ -19,6 +19,7 @@ struct DescentGoal {
     double absolute = 1e-24;
     int looks = 60;         ///< most evaluations of a descent
     double damping = 1e-2;  ///< Marquardt's, of the first step
+    double apart = 2e-3;    ///< in some coordinate: two descents that come nearer are on one path
     /// If above 0, only the best end counts: a descent whose step promises less than this part of what it lacks ends.
     double hopeful = 0;
 };

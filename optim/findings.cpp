@@ -103,7 +103,7 @@ void add_evidence(const Work& work, const Weighted& weighted, const Variant* sma
     constexpr double kEnough = 1e-7;  // of chi^2
     constexpr std::size_t kOthers = 2;
     Fit& fit = variant.fit;
-    variant.likeliest = variant.optimum;
+    variant.likeliest = static_cast<const Point&>(variant.optimum);
     if (weighted.robust != Robust::none) {
         // The scale of a robust loss is common to all models: -2 ln L = 2 sum rho (Ronchetti 1985).
         const double size = fit.loss / weighted.scale;

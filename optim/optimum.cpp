@@ -264,10 +264,14 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
     const bool coarse = !task.precision && task.model.begins_quickly();
     const kernels::Precision quick = coarse ? task.engine.quickest_precision() : precision;
     const kernels::Accuracy accuracy = coarse ? task.model.first_accuracy() : kernels::Accuracy::full;
+    std::optional<Thinned> thin;
+    std::optional<kernels::DirectionSet> thin_directions;
     if (squares.y.size() > kThinAbove) {
-        const Thinned thin = thinned(squares, task.directions.directions(), kThinTo, task.control.seed);
-        stages.push_back(loss_of(quick, accuracy, thin.directions, thin.data));
+        thin = thinned(squares, task.directions.directions(), kThinTo, task.control.seed);
+        thin_directions.emplace(thin->directions);
+        stages.push_back(loss_of(quick, accuracy, *thin_directions, thin->data));
     }
+    StepScan scan(task.model, thin_directions ? *thin_directions : task.directions, thin ? thin->data : squares);
     if (coarse) stages.push_back(loss_of(quick, accuracy, task.directions, squares));
     stages.push_back(loss_of(precision, kernels::Accuracy::full, task.directions, squares));
     SpaceLoss& exact = *stages.back();
@@ -279,7 +283,7 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
     std::vector<std::vector<double>> seeds = special_starts(task, *stages.front());
     if (smaller != nullptr) seeds.push_back(space.coordinates(smaller->parameters, smaller->scale));
     SearchResult found =
-        search_space(stages, budget(effort, space.dimension(), task.model.repeats), task.control, seeds);
+        search_space(stages, budget(effort, space.dimension(), task.model.repeats), task.control, seeds, &scan);
     found.best.loss2 /= scale2;
     Separable result{optimum_at(task, space, found.best, found.record), {}};
     add_others(space, exact, found, result.optimum);
@@ -376,8 +380,7 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
     Separable found = search_separable(task, bounds, squares, extension ? &*extension : nullptr,
                                        task.weighted.logarithmic ? kPolished : 0, task.effort);
     if (!task.weighted.logarithmic)
-        return finished_with_others(task, bounds, squares, Unknowns::nonlinear, 1, scale2_of(squares),
-                                    std::move(found.optimum));
+        return finished_with_others(task, bounds, squares, Unknowns::nonlinear, 1, scale2_of(squares), found.optimum);
 
     std::vector<Point> starts;
     if (extension) starts.push_back(*extension);

@@ -47,8 +47,8 @@ std::vector<Refitter::End> Refitter::descend(const Weighted& weighted, std::span
         std::vector<std::vector<double>> from;
         for (const Point& start : starts) from.push_back(space_.coordinates(start.parameters, start.scale));
         const Landscape landscape = [&](auto at) { return loss.looks(at); };
-        ends = descend_together(landscape, from, {relative, 1e-26, kMostLooks, DescentGoal{}.damping, hopeful},
-                                task_.control);
+        const DescentGoal goal{.relative = relative, .absolute = 1e-26, .looks = kMostLooks, .hopeful = hopeful};
+        ends = descend_together(landscape, from, goal, task_.control);
     }
     std::vector<End> result;
     for (Minimum& minimum : ends) {

@@ -1,6 +1,7 @@
 #include "optim/search.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <exception>
 #include <limits>
@@ -168,10 +169,19 @@ double distance(std::span<const double> a, std::span<const double> b) {
 /// Descents stop short of what the arithmetic of a search can tell.
 constexpr DescentGoal kQuickGoal{1e-5, 1e-12, 60};
 constexpr DescentGoal kExactGoal{1e-11, 1e-26, 100};
-/// Rounds of exchanges, while each gains.
-constexpr int kExchangeRounds = 4;
 /// Samples at which a spike is tried in place of a lobe of the best end.
 constexpr std::size_t kMostSpikes = 200;
+/// Steps a few samples apart are near each other in the cube, and other minima.
+constexpr DescentGoal kStepGoal{.relative = 1e-7, .absolute = 1e-12, .looks = 60, .apart = 1e-6};
+/// Steps are tried about so many of the best ends, then about the best while loss^2 gains this part, in so many rounds:
+/// at most so many of each lobe, where loss^2 is promised to be no more than so much of the best.
+constexpr std::size_t kStepBases = 3;
+constexpr double kStepGain = 1e-5;
+constexpr int kStepRounds = 3;
+constexpr std::size_t kMostSteps = 8;
+constexpr double kStepPromise = 1.03;
+/// Rounds of exchanges, while each gains.
+constexpr int kExchangeRounds = 4;
 /// Of NLopt's SLSQP from each of the last ends, in all parameters.
 constexpr int kFurtherEvaluations = 300;
 /// Ends whose loss^2 is this near to the best are worth polishing, so many of them: found with other samples, or with
@@ -354,6 +364,48 @@ std::vector<double> SpaceLoss::screen_roughly(const std::vector<std::vector<doub
     return values;
 }
 
+std::vector<std::vector<double>> SpaceLoss::steps(StepScan& scan, const Minimum& about, double within, std::size_t most,
+                                                  const SearchControl& control) {
+    // What is like a step, and has a height the space can tell from 0.
+    constexpr std::array<double, 3> kDegrees{0.012, 0.03, 0.1};
+    std::vector<std::vector<std::size_t>> lobes = space_.blocks();
+    std::erase_if(lobes, [&](const auto& block) { return !space_.lobe(block); });
+    if (lobes.empty()) return {};
+    Minimum base = about;
+    complete(base);
+    const Candidate at = space_.candidate(base.u);
+    const std::vector<double> values = evaluator_.terms(at.parameters);
+    std::vector<std::vector<double>> starts;
+    for (const auto& block : lobes) {
+        const std::optional<std::size_t> term = space_.lobe(block);
+        std::vector<LobeShape> shapes;
+        for (const Step& step : scan.best(*term, {values, base.coefficients, at.lower, at.upper}, most))
+            for (const double degree : kDegrees)
+                if (step.loss2 <= within * scale2_) shapes.push_back({step.psi, degree});
+        std::vector<std::vector<double>> points = space_.shaped(base.u, block, shapes);
+        const std::vector<double> losses = screen(points, control);
+        std::vector<std::vector<double>> chosen;
+        for (std::size_t i = 0; i < points.size(); i += kDegrees.size()) {
+            const auto first = losses.begin() + static_cast<std::ptrdiff_t>(i);
+            const auto least = std::min_element(first, first + static_cast<std::ptrdiff_t>(kDegrees.size()));
+            chosen.push_back(std::move(points[static_cast<std::size_t>(least - losses.begin())]));
+        }
+        // The other terms adapt before the step's edge moves: a sample in its way would hold up all of them.
+        const Landscape held = [&](auto points_there) {
+            std::vector<Look> seen = looks(points_there);
+            for (Look& look : seen)
+                for (const std::size_t j : block) {
+                    look.gradient[j] = 0;
+                    for (std::size_t k = 0, d = look.gradient.size(); k < d; ++k)
+                        look.curvature[j * d + k] = look.curvature[k * d + j] = 0;
+                }
+            return seen;
+        };
+        for (Minimum& end : descend_together(held, chosen, kStepGoal, control)) starts.push_back(std::move(end.u));
+    }
+    return starts;
+}
+
 void SpaceLoss::complete(Minimum& minimum) {
     minimum.loss2 = (*this)(minimum.u, {}) * scale2_;
     minimum.coefficients = batch_.coefficients;
@@ -366,7 +418,7 @@ Minimum descend(const Objective& objective, std::vector<double> u, int max_evalu
 }
 
 SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget& budget, const SearchControl& control,
-                          const std::vector<std::vector<double>>& seeds) {
+                          const std::vector<std::vector<double>>& seeds, StepScan* scan) {
     SpaceLoss& quick = *stages.front();
     SpaceLoss& exact = *stages.back();
     const SearchSpace& space = quick.space();
@@ -381,13 +433,16 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
     }
 
     std::vector<Minimum> ends;
-    const auto descend_from = [&](SpaceLoss& loss, const std::vector<std::vector<double>>& starts) {
+    const auto descend_towards = [&](SpaceLoss& loss, const std::vector<std::vector<double>>& starts,
+                                     const DescentGoal& goal) {
         const Landscape landscape = [&](auto at) { return loss.looks(at); };
-        for (Minimum& end : descend_together(landscape, starts, &loss == &exact ? kExactGoal : kQuickGoal, control))
-            ends.push_back(std::move(end));
+        for (Minimum& end : descend_together(landscape, starts, goal, control)) ends.push_back(std::move(end));
         control.stepped();
         std::stable_sort(ends.begin(), ends.end(),
                          [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
+    };
+    const auto descend_from = [&](SpaceLoss& loss, const std::vector<std::vector<double>>& starts) {
+        descend_towards(loss, starts, &loss == &exact ? kExactGoal : kQuickGoal);
     };
     const auto points = screening_points(space, budget.screened, control.seed);
     std::vector<std::vector<double>> starts =
@@ -436,6 +491,18 @@ SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget
         descend_from(quick, next);
         if (!(ends.front().loss2 < before * (1 - 5e-4))) break;
         bases = 1;
+    }
+    for (int round = 0; scan != nullptr && round < kStepRounds && bases > 0 && !control.over(); ++round) {
+        const double before = ends.front().loss2;
+        std::vector<Minimum> about = distinct_ends(ends, 0.05);
+        about.resize(std::min<std::size_t>(about.size(), round == 0 ? kStepBases : 1));
+        std::vector<std::vector<double>> next;
+        for (const Minimum& base : about)
+            for (auto& start : quick.steps(*scan, base, kStepPromise * before, kMostSteps, control))
+                next.push_back(std::move(start));
+        if (next.empty()) break;
+        descend_towards(quick, next, kStepGoal);
+        if (!(ends.front().loss2 < before * (1 - kStepGain))) break;
     }
     if (blocks.size() > 1 && budget.bases > 0) pass(LessWork::stop_after_exchange, {ends.front().u});
 

@@ -14,6 +14,7 @@
 #include "optim/progress.h"
 #include "optim/report.h"
 #include "optim/space.h"
+#include "optim/steps.h"
 
 namespace brdfit::optim {
 
@@ -99,6 +100,10 @@ public:
     /// value.
     std::vector<double> screen_roughly(const std::vector<std::vector<double>>& points, std::size_t wanted,
                                        const SearchControl& control);
+    /// Starts about a minimum with a step in place of each lobe, where that promises a value of up to `within`: at most
+    /// `most` of a lobe. Not with Unknowns::all.
+    std::vector<std::vector<double>> steps(StepScan& scan, const Minimum& about, double within, std::size_t most,
+                                           const SearchControl& control);
     /// Fills in the loss, not divided, and the coefficients at minimum.u.
     void complete(Minimum& minimum);
 
@@ -138,9 +143,10 @@ std::vector<Minimum> distinct_ends(const std::vector<Minimum>& ends, double clos
 
 /// Minimises over a space. `stages` are losses of that space in rising order of cost and trust, at least one: the first
 /// is searched, each further one goes on from the best ends of the one before, the last decides. `seeds` descend
-/// always: the result is no worse than any seed as the first stage sees it. Throws what they throw.
+/// always: the result is no worse than any seed as the first stage sees it. `scan`, of the first stage's data and only
+/// with Unknowns::nonlinear: lobes are tried as steps; may be nullptr. Throws what they throw.
 SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget& budget, const SearchControl& control,
-                          const std::vector<std::vector<double>>& seeds);
+                          const std::vector<std::vector<double>>& seeds, StepScan* scan = nullptr);
 
 /// A smooth function on the unit cube: value, and its gradient unless that is empty.
 using Objective = std::function<double(std::span<const double> u, std::span<double> gradient)>;

@@ -599,33 +599,47 @@ std::vector<std::vector<std::size_t>> SearchSpace::blocks() const {
     return result;
 }
 
-std::vector<std::vector<double>> SearchSpace::spikes(const std::vector<double>& u,
-                                                     const std::vector<std::size_t>& block, std::size_t most) const {
-    std::vector<std::vector<double>> result;
+std::optional<std::size_t> SearchSpace::lobe(const std::vector<std::size_t>& block) const {
     std::size_t first = 0;
     for (std::size_t i = 0; i < axes_.size(); first += axes_[i++]->dimension()) {
         const std::optional<std::size_t> term = axes_[i]->lobe();
         if (!term || std::find(block.begin(), block.end(), first) == block.end()) continue;
-        const Term::Homogeneous& lobe = *model_.terms[*term].homogeneous;
-        if (seen_ == nullptr || !lobe.columns || bounds_[lobe.degree].fixed()) continue;
-        std::vector<double> angles;  // of the samples, in the plane of the lobe's columns
-        for (const auto& [a, b] : seen_->points(lobe.columns->first, lobe.columns->second))
-            angles.push_back(std::atan2(b, a));
-        std::sort(angles.begin(), angles.end());
-        angles.erase(std::unique(angles.begin(), angles.end()), angles.end());
-        std::vector<double> parameters = candidate(u).parameters;
-        parameters[lobe.degree] = bounds_[lobe.degree].max;
-        const std::size_t count = std::min(angles.size(), most);
-        for (std::size_t k = 0; k < count; ++k) {
-            const double psi = angles[k * angles.size() / count];
-            parameters[lobe.plane.first] = std::cos(psi);
-            parameters[lobe.plane.second] = std::sin(psi);
-            const std::vector<double> there = coordinates(parameters, scale(u));
-            result.push_back(u);
-            for (const std::size_t j : block) result.back()[j] = there[j];
-        }
+        const Term::Homogeneous& of = *model_.terms[*term].homogeneous;
+        if (of.columns && !bounds_[of.degree].fixed()) return term;
+    }
+    return std::nullopt;
+}
+
+std::vector<std::vector<double>> SearchSpace::shaped(const std::vector<double>& u,
+                                                     const std::vector<std::size_t>& block,
+                                                     std::span<const LobeShape> shapes) const {
+    const Term::Homogeneous& of = *model_.terms[lobe(block).value()].homogeneous;
+    std::vector<double> parameters = candidate(u).parameters;
+    std::vector<std::vector<double>> result(shapes.size(), u);
+    for (std::size_t i = 0; i < shapes.size(); ++i) {
+        parameters[of.degree] = std::clamp(shapes[i].degree, bounds_[of.degree].min, bounds_[of.degree].max);
+        parameters[of.plane.first] = std::cos(shapes[i].psi);
+        parameters[of.plane.second] = std::sin(shapes[i].psi);
+        const std::vector<double> there = coordinates(parameters, scale(u));
+        for (const std::size_t j : block) result[i][j] = there[j];
     }
     return result;
+}
+
+std::vector<std::vector<double>> SearchSpace::spikes(const std::vector<double>& u,
+                                                     const std::vector<std::size_t>& block, std::size_t most) const {
+    const std::optional<std::size_t> term = lobe(block);
+    if (seen_ == nullptr || !term) return {};
+    const Term::Homogeneous& of = *model_.terms[*term].homogeneous;
+    std::vector<double> angles;  // of the samples, in the plane of the lobe's columns
+    for (const auto& [a, b] : seen_->points(of.columns->first, of.columns->second)) angles.push_back(std::atan2(b, a));
+    std::sort(angles.begin(), angles.end());
+    angles.erase(std::unique(angles.begin(), angles.end()), angles.end());
+    const std::size_t count = std::min(angles.size(), most);
+    std::vector<LobeShape> shapes;
+    for (std::size_t k = 0; k < count; ++k)
+        shapes.push_back({angles[k * angles.size() / count], bounds_[of.degree].max});
+    return shaped(u, block, shapes);
 }
 
 std::vector<Interval> SearchSpace::typical() const {

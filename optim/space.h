@@ -28,6 +28,12 @@ struct ScaleRange {
     double max = 1;
 };
 
+/// A lobe but for its height.
+struct LobeShape {
+    double psi;     ///< of its direction in the plane of its pair [rad]
+    double degree;  ///< clamped to its bounds
+};
+
 /// One coordinate or two of the cube.
 class Axis;
 
@@ -99,6 +105,12 @@ public:
     [[nodiscard]] std::vector<std::vector<double>> spikes(const std::vector<double>& u,
                                                           const std::vector<std::size_t>& block,
                                                           std::size_t most) const;
+    /// The homogeneous term whose degree and direction these coordinates hold, where it has columns; none for others.
+    [[nodiscard]] std::optional<std::size_t> lobe(const std::vector<std::size_t>& block) const;
+    /// The points with the lobe of these coordinates in each of the shapes.
+    [[nodiscard]] std::vector<std::vector<double>> shaped(const std::vector<double>& u,
+                                                          const std::vector<std::size_t>& block,
+                                                          std::span<const LobeShape> shapes) const;
     [[nodiscard]] const std::vector<Interval>& bounds() const { return bounds_; }
 
 private:

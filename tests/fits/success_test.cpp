@@ -109,9 +109,16 @@ TEST_P(Materials, AreFitAsWellAsByASearchFiftyTimesAsLong) {
         return static_cast<double>(std::upper_bound(excess.begin(), excess.end(), bound) - excess.begin()) /
                static_cast<double>(excess.size());
     };
-    std::printf("%s: %zu materials; within 1e-6 %.4f, 1e-3 %.4f, 1e-2 %.4f, 1e-1 %.4f; worst %.2g\n",
-                cell.name.empty() ? cell.model.c_str() : cell.name.c_str(), excess.size(), within(1e-6), within(1e-3),
-                within(1e-2), within(1e-1), excess.back());
+    // The least excess that such a part of the fits does not exceed.
+    const auto quantile = [&](double part) {
+        const double place = std::ceil(part * static_cast<double>(excess.size()));
+        return excess[std::max<std::size_t>(static_cast<std::size_t>(place), 1) - 1];
+    };
+    std::printf(
+        "%s: %zu materials; within 1e-6 %.4f, 1e-3 %.4f, 1e-2 %.4f; above the best known: 50 %% of fits %.2g, "
+        "90 %% %.2g, 99 %% %.2g, 99.9 %% %.2g, worst %.2g\n",
+        cell.name.empty() ? cell.model.c_str() : cell.name.c_str(), excess.size(), within(1e-6), within(1e-3),
+        within(1e-2), quantile(0.5), quantile(0.9), quantile(0.99), quantile(0.999), excess.back());
     // A rate over so few is known to two standard deviations.
     const double rate = cell.least_rate;
     EXPECT_GE(within(1e-3), rate - 2 * std::sqrt(rate * (1 - rate) / static_cast<double>(excess.size())));
@@ -119,9 +126,43 @@ TEST_P(Materials, AreFitAsWellAsByASearchFiftyTimesAsLong) {
 
 INSTANTIATE_TEST_SUITE_P(Models, Materials,
                          testing::Values(Cell{"phong", 0.999, 48}, Cell{"ward", 0.999, 48},
-                                         Cell{"lafortune_1", 0.999, 48}, Cell{"lafortune_2", 0.98},
-                                         Cell{"lafortune_3", 0.9}, Cell{"he_torrance", 0.99}),
+                                         Cell{"lafortune_1", 0.999, 48}, Cell{"lafortune_2", 0.998},
+                                         Cell{"lafortune_3", 0.99}, Cell{"he_torrance", 0.99}),
                          [](const auto& parameter) { return parameter.param.model; });
+
+/// A material on which a search once failed.
+struct HardMaterial {
+    const char* model;
+    std::size_t material;
+    std::size_t pattern;  ///< of sampling_patterns(); those of measured surfaces are passed over where there are none
+    double best_known;    ///< relative loss
+    bool missed = false;  ///< the search still ends more than 1e-3 above
+};
+constexpr HardMaterial kHardMaterials[] = {
+#include "tests/fits/hard_materials.inc"
+};
+
+/// What is known to be missed is counted; nothing else may be.
+TEST(HardMaterials, AreFoundButForThoseThatAreKnown) {
+    std::size_t tried = 0, missed = 0;
+    for (const HardMaterial& hard : kHardMaterials) {
+        if (hard.pattern >= sampling_patterns().size()) continue;
+        const Cell cell{hard.model, 1};
+        Dataset dataset{"hard", optim::Unit::per_steradian, {}};
+        dataset.channels.push_back(
+            random_measurement(variant(hard.model), hard.material, sampling_patterns()[hard.pattern]));
+        const double excess = search(dataset, cell, Effort::standard, 1).relative_loss.front() / hard.best_known - 1;
+        ++tried;
+        if (excess > 1e-3) {
+            ++missed;
+            std::printf("    %s, material %zu, pattern %zu: %.2g above %.6g\n", hard.model, hard.material, hard.pattern,
+                        excess, hard.best_known);
+        }
+        EXPECT_TRUE(hard.missed || excess <= 1e-3) << hard.model << " " << hard.material << ": " << excess;
+    }
+    std::printf("hard materials: %zu of %zu missed\n", missed, tried);
+    EXPECT_GT(tried, 0U);
+}
 
 /// A loss with the rates it promises.
 std::vector<Cell> cells(const std::string& name, const Criterion& loss, const std::vector<Cell>& models) {
