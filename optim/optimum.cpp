@@ -390,7 +390,7 @@ Optimum find_optimum(const Task& task, const std::vector<Interval>& bounds, cons
     const double level = level_of(task, levels);
     Optimum optimum = search_in_all(task, bounds, level, starts, task.effort, false);
     add_before(optimum.record, found.optimum.record.evaluations);
-    return finished_with_others(task, bounds, task.weighted, Unknowns::all, level, 1, std::move(optimum));
+    return finished_with_others(task, bounds, task.weighted, Unknowns::all, level, 1, optimum);
 }
 
 Groundwork lay_groundwork(const Task& task, const std::vector<Interval>& bounds, const Point* smaller,
@@ -468,7 +468,7 @@ Optimum find_robust_optimum(const Task& task, const std::vector<Interval>& bound
         if (settled) break;
     }
     optimum.record.evaluations += evaluations;
-    return finished_with_others(task, bounds, task.weighted, Unknowns::all, level, scale2, std::move(optimum));
+    return finished_with_others(task, bounds, task.weighted, Unknowns::all, level, scale2, optimum);
 }
 
 }  // namespace brdfit::optim
