@@ -13,6 +13,7 @@
 #include "kernels/hemisphere.h"
 #include "optim/physics.h"
 #include "optim/space.h"
+#include "optim/space_loss.h"
 
 namespace brdfit::optim {
 namespace {

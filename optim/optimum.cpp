@@ -9,6 +9,7 @@
 #include "optim/descent.h"
 #include "optim/robust.h"
 #include "optim/search.h"
+#include "optim/space_loss.h"
 #include "optim/stationarity.h"
 #include "optim/statistics.h"
 #include "optim/thinned.h"
@@ -275,15 +276,18 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
     if (coarse) stages.push_back(loss_of(quick, accuracy, task.directions, squares));
     stages.push_back(loss_of(precision, kernels::Accuracy::full, task.directions, squares));
     SpaceLoss& exact = *stages.back();
-    if (const std::size_t seen = stages.front()->samples(); coarse && task.model.repeats <= 1 && seen > kGlanceAbove) {
+    // Of logarithms the search under squares makes starts, and what is best for squares alone is none.
+    const bool only_starts = task.weighted.logarithmic;
+    if (const std::size_t seen = stages.front()->samples();
+        coarse && !only_starts && task.model.repeats <= 1 && seen > kGlanceAbove) {
         const Thinned few = thinned(squares, task.directions.directions(), seen / kGlanceShare, task.control.seed + 1);
         stages.front()->glance_through(*loss_of(quick, accuracy, few.directions, few.data));
     }
 
     std::vector<std::vector<double>> seeds = special_starts(task, *stages.front());
     if (smaller != nullptr) seeds.push_back(space.coordinates(smaller->parameters, smaller->scale));
-    SearchResult found =
-        search_space(stages, budget(effort, space.dimension(), task.model.repeats), task.control, seeds, &scan);
+    SearchResult found = search_space(stages, budget(effort, space.dimension(), task.model.repeats), task.control,
+                                      seeds, only_starts ? nullptr : &scan);
     found.best.loss2 /= scale2;
     Separable result{optimum_at(task, space, found.best, found.record), {}};
     add_others(space, exact, found, result.optimum);

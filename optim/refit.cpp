@@ -3,6 +3,7 @@
 #include <algorithm>
 
 #include "optim/descent.h"
+#include "optim/space_loss.h"
 #include "optim/thinned.h"
 
 namespace brdfit::optim {

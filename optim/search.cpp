@@ -14,7 +14,7 @@
 #include <boost/random/sobol.hpp>
 
 #include "optim/descent.h"
-#include "optim/robust.h"
+#include "optim/space_loss.h"
 
 namespace brdfit::optim {
 namespace {
@@ -180,8 +180,9 @@ constexpr double kStepGain = 1e-5;
 constexpr int kStepRounds = 3;
 constexpr std::size_t kMostSteps = 8;
 constexpr double kStepPromise = 1.03;
-/// Rounds of exchanges, while each gains.
+/// Rounds of exchanges, while each gains this part of loss^2.
 constexpr int kExchangeRounds = 4;
+constexpr double kExchangeGain = 5e-4;
 /// Of NLopt's SLSQP from each of the last ends, in all parameters.
 constexpr int kFurtherEvaluations = 300;
 /// Ends whose loss^2 is this near to the best are worth polishing, so many of them: found with other samples, or with
@@ -243,312 +244,240 @@ SearchBudget budget(Effort effort, std::size_t dimension, std::size_t lobes) {
     return result;
 }
 
-void SpaceLoss::evaluate(std::span<const std::vector<double>> points, bool gradient) {
-    if (candidates_.size() < points.size()) candidates_.resize(points.size());
-    parameters_.clear();
-    lower_.clear();
-    upper_.clear();
-    for (std::size_t i = 0; i < points.size(); ++i) {
-        Candidate& at = candidates_[i];
-        space_.place(points[i], at);
-        parameters_.insert(parameters_.end(), at.parameters.begin(), at.parameters.end());
-        lower_.insert(lower_.end(), at.lower.begin(), at.lower.end());
-        upper_.insert(upper_.end(), at.upper.begin(), at.upper.end());
-    }
-    if (space_.unknowns() == Unknowns::nonlinear) evaluator_.project(parameters_, lower_, upper_, gradient, batch_);
-    else if (robust()) robust_loss(evaluator_, *form_, parameters_, lower_, batch_);
-    else evaluator_.loss(parameters_, lower_, logarithmic(), batch_);
-    evaluations_ += points.size();
-}
-
-double SpaceLoss::operator()(std::span<const double> u, std::span<double> gradient) {
-    const std::vector<double> point(u.begin(), u.end());
-    evaluate({&point, 1}, !gradient.empty());
-    if (!gradient.empty()) {
-        space_.gradient(u, candidates_[0], batch_.coefficients, batch_.by_parameter, batch_.by_coefficient, gradient);
-        for (double& g : gradient) g /= scale2_;
-        // Near underflow the slope of a logarithm overflows; at underflow there is none.
-        for (double& slope : gradient)
-            if (logarithmic() && !std::isfinite(slope)) slope = 0;
-    }
-    return batch_.loss[0] / scale2_;
-}
-
-std::vector<Look> SpaceLoss::looks(std::span<const std::vector<double>> points) {
-    evaluate(points, true);
-    const kernels::Model& model = space_.model();
-    const std::size_t p = model.parameters.size();
-    const std::size_t t = model.terms.size();
-    const std::size_t d = space_.dimension();
-    const std::size_t unknowns = t + space_.nonlinear();
-    const std::size_t normals = unknowns * (unknowns + 1) / 2;
-    std::vector<Look> result(points.size());
-    normal_.resize(unknowns * unknowns);
-    bent_.resize(unknowns * d);
-    for (std::size_t i = 0; i < points.size(); ++i) {
-        Look& look = result[i];
-        const Candidate& at = candidates_[i];
-        const std::span<const double> c(batch_.coefficients.data() + i * t, t);
-        space_.jacobian(points[i], at, c, jacobian_);
-        look.value = batch_.loss[i] / scale2_;
-        look.gradient.resize(d);
-        space_.gradient(jacobian_, {batch_.by_parameter.data() + i * p, p}, {batch_.by_coefficient.data() + i * t, t},
-                        look.gradient);
-        for (double& g : look.gradient) g /= scale2_;
-
-        const double* entry = batch_.normal.data() + i * normals;
-        for (std::size_t row = 0; row < unknowns; ++row)
-            for (std::size_t column = row; column < unknowns; ++column)
-                normal_[row * unknowns + column] = normal_[column * unknowns + row] = *entry++;
-        // What free coefficients take up of a step is taken out of its curvature.
-        for (std::size_t k = 0; k < t; ++k) {
-            double* const of_k = normal_.data() + k * unknowns;
-            const double pivot = of_k[k];
-            if (!SearchSpace::is_free(c[k], at.lower[k], at.upper[k]) || !(pivot > 0)) continue;
-            for (std::size_t row = 0; row < unknowns; ++row) {
-                const double part = of_k[row] / pivot;
-                if (row == k || part == 0) continue;
-                for (std::size_t column = 0; column < unknowns; ++column)
-                    normal_[row * unknowns + column] -= part * of_k[column];
-                normal_[row * unknowns + k] = 0;
-            }
-            std::fill_n(of_k, unknowns, 0.0);
-        }
-        // The Jacobian's rows are sparse.
-        std::fill(bent_.begin(), bent_.end(), 0.0);
-        for (std::size_t row = 0; row < unknowns; ++row)
-            for (std::size_t j = 0; j < d; ++j)
-                if (const double slope = jacobian_[row * d + j]; slope != 0)
-                    for (std::size_t k = 0; k < unknowns; ++k)
-                        bent_[j * unknowns + k] += slope * normal_[row * unknowns + k];
-        look.curvature.resize(d * d);
-        for (std::size_t row = 0; row < unknowns; ++row)
-            for (std::size_t j = 0; j < d; ++j)
-                if (const double slope = 2 / scale2_ * jacobian_[row * d + j]; slope != 0)
-                    for (std::size_t k = 0; k < d; ++k) look.curvature[j * d + k] += slope * bent_[k * unknowns + row];
-    }
-    return result;
-}
-
-std::vector<double> SpaceLoss::screen(const std::vector<std::vector<double>>& points, const SearchControl& control) {
-    constexpr std::size_t kLaunch = 1'000'000;  // candidates x samples: under a second on one core
-    const std::size_t most = std::max<std::size_t>(1, kLaunch / std::max<std::size_t>(1, evaluator_.samples()));
-    std::vector<double> values(points.size(), std::numeric_limits<double>::max());
-    for (std::size_t first = 0; first < points.size() && !control.over(); first += most) {
-        const std::size_t count = std::min(most, points.size() - first);
-        evaluate(std::span(points).subspan(first, count), false);
-        for (std::size_t i = 0; i < count; ++i)
-            if (std::isfinite(batch_.loss[i])) values[first + i] = batch_.loss[i] / scale2_;
-        control.evaluated(count, *std::min_element(values.begin() + static_cast<std::ptrdiff_t>(first),
-                                                   values.begin() + static_cast<std::ptrdiff_t>(first + count)));
-    }
-    return values;
-}
-
-std::vector<double> SpaceLoss::screen_roughly(const std::vector<std::vector<double>>& points, std::size_t wanted,
-                                              const SearchControl& control) {
-    constexpr std::size_t kKept = 4;  // for each that is wanted
-    const std::size_t kept = kKept * wanted;
-    if (fewer_ == nullptr || kept >= points.size()) return screen(points, control);
-    const std::vector<double> rough = fewer_->screen(points, control);
-    std::vector<std::size_t> order(points.size());
-    std::iota(order.begin(), order.end(), std::size_t{0});
-    std::nth_element(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(kept), order.end(),
-                     [&](std::size_t a, std::size_t b) { return std::pair(rough[a], a) < std::pair(rough[b], b); });
-    order.resize(kept);
-    std::vector<std::vector<double>> better;
-    for (const std::size_t i : order) better.push_back(points[i]);
-    const std::vector<double> exact = screen(better, control);
-    std::vector<double> values(points.size(), std::numeric_limits<double>::max());
-    for (std::size_t k = 0; k < kept; ++k) values[order[k]] = exact[k];
-    return values;
-}
-
-std::vector<std::vector<double>> SpaceLoss::steps(StepScan& scan, const Minimum& about, double within, std::size_t most,
-                                                  const SearchControl& control) {
-    // What is like a step, and has a height the space can tell from 0.
-    constexpr std::array<double, 3> kDegrees{0.012, 0.03, 0.1};
-    std::vector<std::vector<std::size_t>> lobes = space_.blocks();
-    std::erase_if(lobes, [&](const auto& block) { return !space_.lobe(block); });
-    if (lobes.empty()) return {};
-    Minimum base = about;
-    complete(base);
-    const Candidate at = space_.candidate(base.u);
-    const std::vector<double> values = evaluator_.terms(at.parameters);
-    std::vector<std::vector<double>> starts;
-    for (const auto& block : lobes) {
-        const std::optional<std::size_t> term = space_.lobe(block);
-        std::vector<LobeShape> shapes;
-        for (const Step& step : scan.best(*term, {values, base.coefficients, at.lower, at.upper}, most))
-            for (const double degree : kDegrees)
-                if (step.loss2 <= within * scale2_) shapes.push_back({step.psi, degree});
-        std::vector<std::vector<double>> points = space_.shaped(base.u, block, shapes);
-        const std::vector<double> losses = screen(points, control);
-        std::vector<std::vector<double>> chosen;
-        for (std::size_t i = 0; i < points.size(); i += kDegrees.size()) {
-            const auto first = losses.begin() + static_cast<std::ptrdiff_t>(i);
-            const auto least = std::min_element(first, first + static_cast<std::ptrdiff_t>(kDegrees.size()));
-            chosen.push_back(std::move(points[static_cast<std::size_t>(least - losses.begin())]));
-        }
-        // The other terms adapt before the step's edge moves: a sample in its way would hold up all of them.
-        const Landscape held = [&](auto points_there) {
-            std::vector<Look> seen = looks(points_there);
-            for (Look& look : seen)
-                for (const std::size_t j : block) {
-                    look.gradient[j] = 0;
-                    for (std::size_t k = 0, d = look.gradient.size(); k < d; ++k)
-                        look.curvature[j * d + k] = look.curvature[k * d + j] = 0;
-                }
-            return seen;
-        };
-        for (Minimum& end : descend_together(held, chosen, kStepGoal, control)) starts.push_back(std::move(end.u));
-    }
-    return starts;
-}
-
-void SpaceLoss::complete(Minimum& minimum) {
-    minimum.loss2 = (*this)(minimum.u, {}) * scale2_;
-    minimum.coefficients = batch_.coefficients;
-}
-
 Minimum descend(const Objective& objective, std::vector<double> u, int max_evaluations, double tolerance,
                 const SearchControl& control) {
     const std::size_t dimension = u.size();
     return run(local_optimizer(dimension, max_evaluations, tolerance), objective, std::move(u), control);
 }
 
-SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget& budget, const SearchControl& control,
-                          const std::vector<std::vector<double>>& seeds, StepScan* scan) {
-    SpaceLoss& quick = *stages.front();
-    SpaceLoss& exact = *stages.back();
-    const SearchSpace& space = quick.space();
-    const std::size_t d = space.dimension();
-    SearchResult result;
-    if (d == 0) {
-        exact.complete(result.best);
-        result.record = {1, 1, 1, StopReason::converged, 0};
-        result.minima.push_back(result.best);
-        result.ends.push_back(result.best.loss2);
-        return result;
+namespace {
+
+/// One search: each member is a step of it, in the order of run().
+class Search {
+public:
+    Search(std::span<SpaceLoss* const> stages, const SearchBudget& budget, const SearchControl& control)
+        : stages_(stages),
+          quick_(*stages.front()),
+          exact_(*stages.back()),
+          space_(quick_.space()),
+          blocks_(space_.blocks()),
+          budget_(budget),
+          control_(control) {}
+
+    SearchResult run(const std::vector<std::vector<double>>& seeds, StepScan* scan) {
+        if (space_.dimension() == 0) return only_point();
+        descend_from_screened(seeds);
+        if (blocks_.size() > 1 && budget_.bases > 0) {
+            exchange();
+            if (scan != nullptr) take_steps(*scan);
+            pass(LessWork::stop_after_exchange, {ends_.front().u});
+        }
+        keep_ends();
+        polish();
+        if (!seeds.empty()) hold_against(seeds);
+        for (const SpaceLoss* stage : stages_) result_.record.evaluations += stage->evaluations();
+        result_.record.evaluations -= extra_;
+        result_.record.stop_reason = result_.best.stop;
+        exact_.complete(result_.best);
+        return std::move(result_);
     }
 
-    std::vector<Minimum> ends;
-    const auto descend_towards = [&](SpaceLoss& loss, const std::vector<std::vector<double>>& starts,
-                                     const DescentGoal& goal) {
+private:
+    SearchResult only_point() {
+        exact_.complete(result_.best);
+        result_.record = {1, 1, 1, StopReason::converged, 0};
+        result_.minima.push_back(result_.best);
+        result_.ends.push_back(result_.best.loss2);
+        return std::move(result_);
+    }
+
+    void sort_ends() {
+        std::stable_sort(ends_.begin(), ends_.end(),
+                         [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
+    }
+    void descend_towards(SpaceLoss& loss, const std::vector<std::vector<double>>& starts, const DescentGoal& goal) {
         const Landscape landscape = [&](auto at) { return loss.looks(at); };
-        for (Minimum& end : descend_together(landscape, starts, goal, control)) ends.push_back(std::move(end));
-        control.stepped();
-        std::stable_sort(ends.begin(), ends.end(),
-                         [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
-    };
-    const auto descend_from = [&](SpaceLoss& loss, const std::vector<std::vector<double>>& starts) {
-        descend_towards(loss, starts, &loss == &exact ? kExactGoal : kQuickGoal);
-    };
-    const auto points = screening_points(space, budget.screened, control.seed);
-    std::vector<std::vector<double>> starts =
-        best_distinct(points, quick.screen_roughly(points, budget.starts, control), budget.starts);
-    starts.insert(starts.end(), seeds.begin(), seeds.end());
-    control.stepped();
-    if (budget.global_evaluations > 0) {
-        const Objective objective = [&](std::span<const double> u, std::span<double> g) { return quick(u, g); };
-        starts.push_back(explore(objective, d, budget.global_evaluations, control).u);
+        for (Minimum& end : descend_together(landscape, starts, goal, control_)) ends_.push_back(std::move(end));
+        control_.stepped();
+        sort_ends();
     }
-    std::size_t extra = 0;  // evaluations for milestones
-    const auto pass = [&](LessWork milestone, const std::vector<std::vector<double>>& found) {
-        if (!control.milestones || control.over()) return;
+    void descend_from(SpaceLoss& loss, const std::vector<std::vector<double>>& starts) {
+        descend_towards(loss, starts, &loss == &exact_ ? kExactGoal : kQuickGoal);
+    }
+
+    /// Tells what less work would have found, if that is wanted.
+    void pass(LessWork milestone, const std::vector<std::vector<double>>& found) {
+        if (!control_.milestones || control_.over()) return;
         std::size_t evaluations = 0;
-        for (const SpaceLoss* stage : stages) evaluations += stage->evaluations();
-        evaluations -= extra;
-        const std::vector<double> values = exact.screen(found, control);
-        result.record.milestones.push_back({milestone, *std::min_element(values.begin(), values.end()), evaluations});
-        extra += found.size();
-    };
-    pass(LessWork::stop_after_screening, starts);
-    descend_from(quick, starts);
-    pass(LessWork::stop_after_descents, {ends.front().u});
+        for (const SpaceLoss* stage : stages_) evaluations += stage->evaluations();
+        evaluations -= extra_;
+        const std::vector<double> values = exact_.screen(found, control_);
+        result_.record.milestones.push_back({milestone, *std::min_element(values.begin(), values.end()), evaluations});
+        extra_ += found.size();
+    }
 
-    const auto blocks = space.blocks();
-    std::size_t bases = blocks.size() > 1 ? budget.bases : 0;
-    for (int round = 0; round < kExchangeRounds && bases > 0 && !control.over(); ++round) {
-        const double before = ends.front().loss2;
-        std::vector<std::vector<double>> next;
-        std::uint64_t seed = control.seed + static_cast<std::uint64_t>(round);
-        std::vector<Minimum> about = distinct_ends(ends, 0.05);
-        about.resize(std::min(about.size(), bases));
-        if (round == 0)
-            for (const auto& block : blocks) {
-                const auto spikes = space.spikes(about.front().u, block, kMostSpikes);
-                for (auto& start : best_distinct(spikes, quick.screen(spikes, control), budget.exchange_starts))
-                    next.push_back(std::move(start));
-            }
-        for (const Minimum& base : about)
-            for (const auto& block : blocks) {
-                const auto fresh = exchanged_points(space, base.u, block, budget.exchanged, ++seed);
-                const auto values = quick.screen_roughly(fresh, budget.exchange_starts, control);
-                for (auto& start : best_distinct(fresh, values, budget.exchange_starts))
-                    next.push_back(std::move(start));
-            }
-        descend_from(quick, next);
-        if (!(ends.front().loss2 < before * (1 - 5e-4))) break;
-        bases = 1;
+    void descend_from_screened(const std::vector<std::vector<double>>& seeds) {
+        const auto points = screening_points(space_, budget_.screened, control_.seed);
+        std::vector<std::vector<double>> starts =
+            best_distinct(points, quick_.screen_roughly(points, budget_.starts, control_), budget_.starts);
+        starts.insert(starts.end(), seeds.begin(), seeds.end());
+        control_.stepped();
+        if (budget_.global_evaluations > 0) {
+            const Objective objective = [&](std::span<const double> u, std::span<double> g) { return quick_(u, g); };
+            starts.push_back(explore(objective, space_.dimension(), budget_.global_evaluations, control_).u);
+        }
+        pass(LessWork::stop_after_screening, starts);
+        descend_from(quick_, starts);
+        pass(LessWork::stop_after_descents, {ends_.front().u});
     }
-    for (int round = 0; scan != nullptr && round < kStepRounds && bases > 0 && !control.over(); ++round) {
-        const double before = ends.front().loss2;
-        std::vector<Minimum> about = distinct_ends(ends, 0.05);
-        about.resize(std::min<std::size_t>(about.size(), round == 0 ? kStepBases : 1));
-        std::vector<std::vector<double>> next;
-        for (const Minimum& base : about)
-            for (auto& start : quick.steps(*scan, base, kStepPromise * before, kMostSteps, control))
-                next.push_back(std::move(start));
-        if (next.empty()) break;
-        descend_towards(quick, next, kStepGoal);
-        if (!(ends.front().loss2 < before * (1 - kStepGain))) break;
-    }
-    if (blocks.size() > 1 && budget.bases > 0) pass(LessWork::stop_after_exchange, {ends.front().u});
 
-    result.minima = distinct_ends(ends, 1e-2);
-    const std::vector<Minimum> searched = ends;
-    std::size_t samples = quick.samples();
-    for (const Minimum& end : searched) result.ends.push_back(end.loss2);
-    for (SpaceLoss* const stage : stages.last(std::max<std::size_t>(1, stages.size() - 1))) {
-        const Polish polish = stage->samples() == samples ? kSameSamples : kOtherSamples;
-        samples = stage->samples();
-        const std::vector<Minimum> best = distinct_ends(ends, 1e-2);
-        std::vector<std::vector<double>> from;
-        for (const Minimum& end : best)
-            if (from.empty() || (from.size() < polish.most && end.loss2 <= polish.within * best.front().loss2))
-                from.push_back(end.u);
-        ends.clear();
-        descend_from(*stage, from);
-    }
-    // Not of squares that are small: NLopt may know better. Those that touch a robust loss know its slope.
-    if (space.unknowns() == Unknowns::all && !exact.robust() && !control.over()) {
-        const Objective objective = [&](std::span<const double> u, std::span<double> g) { return exact(u, g); };
-        for (const Minimum& end : std::vector<Minimum>(ends))
-            ends.push_back(descend(objective, end.u, kFurtherEvaluations, 1e-13, control));
-        std::stable_sort(ends.begin(), ends.end(),
-                         [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
-    }
-    result.best = ends.front();
-    if (!seeds.empty()) {  // which a coarse stage may have passed over
-        const std::vector<double> values = exact.screen(seeds, control);
-        const auto least = std::min_element(values.begin(), values.end());
-        if (*least < result.best.loss2) {
-            ends.clear();
-            descend_from(exact, {seeds[static_cast<std::size_t>(least - values.begin())]});
-            result.best = ends.front();
+    /// Other coordinates in one block of the best ends, in rounds while each gains.
+    void exchange() {
+        std::size_t bases = budget_.bases;
+        for (int round = 0; round < kExchangeRounds && !control_.over(); ++round) {
+            const double before = ends_.front().loss2;
+            std::vector<Minimum> about = distinct_ends(ends_, 0.05);
+            about.resize(std::min(about.size(), bases));
+            std::vector<std::vector<double>> next;
+            const auto add_best = [&](const std::vector<std::vector<double>>& points,
+                                      const std::vector<double>& values) {
+                for (auto& start : best_distinct(points, values, budget_.exchange_starts))
+                    next.push_back(std::move(start));
+            };
+            if (round == 0)
+                for (const auto& block : blocks_) {
+                    const auto spikes = space_.spikes(about.front().u, block, kMostSpikes);
+                    add_best(spikes, quick_.screen(spikes, control_));
+                }
+            std::uint64_t seed = control_.seed + static_cast<std::uint64_t>(round);
+            for (const Minimum& base : about)
+                for (const auto& block : blocks_) {
+                    const auto fresh = exchanged_points(space_, base.u, block, budget_.exchanged, ++seed);
+                    add_best(fresh, quick_.screen_roughly(fresh, budget_.exchange_starts, control_));
+                }
+            descend_from(quick_, next);
+            if (!(ends_.front().loss2 < before * (1 - kExchangeGain))) break;
+            bases = 1;
         }
     }
-    // Of what a thinner or coarser loss has found only its own losses are known.
-    const double agreed = std::sqrt(searched.front().loss2) * 1.001 + 1e-6;
-    result.record.starts = searched.size();
-    result.record.agreed = static_cast<std::size_t>(std::count_if(
-        searched.begin(), searched.end(), [&](const Minimum& m) { return std::sqrt(m.loss2) <= agreed; }));
-    for (const SpaceLoss* stage : stages) result.record.evaluations += stage->evaluations();
-    result.record.evaluations -= extra;
-    result.record.stop_reason = result.best.stop;
-    exact.complete(result.best);
-    return result;
+
+    /// Starts about a minimum with a step in place of each lobe, where that promises loss^2 of up to `within`.
+    std::vector<std::vector<double>> steps(StepScan& scan, const Minimum& about, double within) {
+        // What is like a step, and has a height the space can tell from 0.
+        constexpr std::array<double, 3> kDegrees{0.012, 0.03, 0.1};
+        std::vector<std::vector<std::size_t>> lobes = blocks_;
+        std::erase_if(lobes, [&](const auto& block) { return !space_.lobe(block); });
+        if (lobes.empty()) return {};
+        Minimum base = about;
+        quick_.complete(base);
+        const Candidate at = space_.candidate(base.u);
+        const std::vector<double> values = quick_.terms(at);
+        std::vector<std::vector<double>> starts;
+        for (const auto& block : lobes) {
+            const std::optional<std::size_t> term = space_.lobe(block);
+            std::vector<LobeShape> shapes;
+            for (const Step& step : scan.best(*term, {values, base.coefficients, at.lower, at.upper}, kMostSteps))
+                for (const double degree : kDegrees)
+                    if (step.loss2 <= within * quick_.scale2()) shapes.push_back({step.psi, degree});
+            std::vector<std::vector<double>> points = space_.shaped(base.u, block, shapes);
+            const std::vector<double> losses = quick_.screen(points, control_);
+            std::vector<std::vector<double>> chosen;
+            for (std::size_t i = 0; i < points.size(); i += kDegrees.size()) {
+                const auto first = losses.begin() + static_cast<std::ptrdiff_t>(i);
+                const auto least = std::min_element(first, first + static_cast<std::ptrdiff_t>(kDegrees.size()));
+                chosen.push_back(std::move(points[static_cast<std::size_t>(least - losses.begin())]));
+            }
+            // The other terms adapt before the step's edge moves: a sample in its way would hold up all of them.
+            const Landscape held = [&](auto points_there) {
+                std::vector<Look> seen = quick_.looks(points_there);
+                for (Look& look : seen)
+                    for (const std::size_t j : block) {
+                        look.gradient[j] = 0;
+                        for (std::size_t k = 0, d = look.gradient.size(); k < d; ++k)
+                            look.curvature[j * d + k] = look.curvature[k * d + j] = 0;
+                    }
+                return seen;
+            };
+            for (Minimum& end : descend_together(held, chosen, kStepGoal, control_)) starts.push_back(std::move(end.u));
+        }
+        return starts;
+    }
+
+    void take_steps(StepScan& scan) {
+        for (int round = 0; round < kStepRounds && !control_.over(); ++round) {
+            const double before = ends_.front().loss2;
+            std::vector<Minimum> about = distinct_ends(ends_, 0.05);
+            about.resize(std::min<std::size_t>(about.size(), round == 0 ? kStepBases : 1));
+            std::vector<std::vector<double>> next;
+            for (const Minimum& base : about)
+                for (auto& start : steps(scan, base, kStepPromise * before)) next.push_back(std::move(start));
+            if (next.empty()) break;
+            descend_towards(quick_, next, kStepGoal);
+            if (!(ends_.front().loss2 < before * (1 - kStepGain))) break;
+        }
+    }
+
+    /// What the first stage has found: of what a thinner or coarser loss has found only its own losses are known.
+    void keep_ends() {
+        result_.minima = distinct_ends(ends_, 1e-2);
+        for (const Minimum& end : ends_) result_.ends.push_back(end.loss2);
+        const double agreed = std::sqrt(result_.ends.front()) * 1.001 + 1e-6;
+        result_.record.starts = result_.ends.size();
+        result_.record.agreed = static_cast<std::size_t>(std::count_if(
+            result_.ends.begin(), result_.ends.end(), [&](double loss2) { return std::sqrt(loss2) <= agreed; }));
+    }
+
+    /// On through the further stages, from the best ends of the one before.
+    void polish() {
+        std::size_t samples = quick_.samples();
+        for (SpaceLoss* const stage : stages_.last(std::max<std::size_t>(1, stages_.size() - 1))) {
+            const Polish polish = stage->samples() == samples ? kSameSamples : kOtherSamples;
+            samples = stage->samples();
+            const std::vector<Minimum> best = distinct_ends(ends_, 1e-2);
+            std::vector<std::vector<double>> from;
+            for (const Minimum& end : best)
+                if (from.empty() || (from.size() < polish.most && end.loss2 <= polish.within * best.front().loss2))
+                    from.push_back(end.u);
+            ends_.clear();
+            descend_from(*stage, from);
+        }
+        // Not of squares that are small: NLopt may know better. Those that touch a robust loss know its slope.
+        if (space_.unknowns() == Unknowns::all && !exact_.robust() && !control_.over()) {
+            const Objective objective = [&](std::span<const double> u, std::span<double> g) { return exact_(u, g); };
+            for (const Minimum& end : std::vector<Minimum>(ends_))
+                ends_.push_back(descend(objective, end.u, kFurtherEvaluations, 1e-13, control_));
+            sort_ends();
+        }
+        result_.best = ends_.front();
+    }
+
+    /// Seeds, which a coarse stage may have passed over.
+    void hold_against(const std::vector<std::vector<double>>& seeds) {
+        const std::vector<double> values = exact_.screen(seeds, control_);
+        const auto least = std::min_element(values.begin(), values.end());
+        if (!(*least < result_.best.loss2)) return;
+        ends_.clear();
+        descend_from(exact_, {seeds[static_cast<std::size_t>(least - values.begin())]});
+        result_.best = ends_.front();
+    }
+
+    std::span<SpaceLoss* const> stages_;
+    SpaceLoss& quick_;
+    SpaceLoss& exact_;
+    const SearchSpace& space_;
+    std::vector<std::vector<std::size_t>> blocks_;
+    const SearchBudget& budget_;
+    const SearchControl& control_;
+    std::vector<Minimum> ends_;  ///< of descents, best first
+    std::size_t extra_ = 0;      ///< evaluations for milestones
+    SearchResult result_;
+};
+
+}  // namespace
+
+SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget& budget, const SearchControl& control,
+                          const std::vector<std::vector<double>>& seeds, StepScan* scan) {
+    return Search(stages, budget, control).run(seeds, scan);
 }
 
 }  // namespace brdfit::optim

@@ -13,6 +13,7 @@
 #include "optim/descent.h"
 #include "optim/loss.h"
 #include "optim/space.h"
+#include "optim/space_loss.h"
 #include "tests/support.h"
 
 namespace brdfit::tests {

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "optim/search.h"
+#include "optim/space_loss.h"
 #include "tests/support.h"
 
 namespace brdfit::optim {
