@@ -4,6 +4,8 @@
 #include <cmath>
 #include <list>
 #include <numbers>
+#include <optional>
+#include <random>
 
 #include "kernels/evaluator.h"
 #include "optim/descent.h"
@@ -159,6 +161,42 @@ Optimum settled(const Task& task, const std::vector<Interval>& bounds, const Wei
     return better_of(found, std::move(optimum));
 }
 
+/// At a kink of the loss, such as a sample's critical angle is, no slope tells the way on: a point about the end may.
+/// None if that is not so.
+std::optional<Optimum> beside(const Task& task, const std::vector<Interval>& bounds, const Weighted& weighted,
+                              Unknowns unknowns, double level, double scale2, Optimum& found) {
+    constexpr std::size_t kOfSize = 20;
+    const SearchSpace space(task.model, bounds, unknowns, task.scale, level, Charts::none);
+    if (space.dimension() == 0 || weighted.y.size() > kThinAbove) return std::nullopt;
+    Evaluator evaluator(task.engine, task.model, task.engine.best_precision(), task.directions, weighted.y,
+                        weighted.weight);
+    SpaceLoss loss(evaluator, space, scale2, &weighted);
+    std::mt19937_64 random(task.control.seed);
+    std::uniform_real_distribution<double> uniform(-1.0, 1.0);
+    std::vector<std::vector<double>> points;
+    for (const double size : {1e-2, 1e-3, 1e-4})
+        for (std::size_t k = 0; k < kOfSize; ++k) {
+            std::vector<double> parameters = found.parameters;
+            for (std::size_t i = 0; i < parameters.size(); ++i)
+                parameters[i] = std::clamp(parameters[i] * (1 + size * uniform(random)), bounds[i].min, bounds[i].max);
+            points.push_back(space.coordinates(parameters, found.scale));
+        }
+    const std::vector<double> values = loss.screen(points, task.control);
+    const auto least = std::min_element(values.begin(), values.end());
+    if (!(*least < found.relative_loss2 * (1 - 1e-9))) {
+        found.record.evaluations += loss.evaluations();
+        return std::nullopt;
+    }
+    const Landscape landscape = [&](auto at) { return loss.looks(at); };
+    const auto& start = points[static_cast<std::size_t>(least - values.begin())];
+    Minimum end = descend_together(landscape, {start}, {1e-11, 1e-26, 60}, task.control).front();
+    loss.complete(end);
+    end.loss2 /= scale2;
+    Optimum optimum = optimum_at(task, space, end, found.record);
+    optimum.record.evaluations += loss.evaluations();
+    return optimum;
+}
+
 /// The last steps of a search, until it is settled. A lobe's edge at a sample is a kink of the loss, and there may be
 /// one behind the other: descents in the parameters themselves, with first steps of several lengths, leap over other
 /// ones than those in the lobe's chart.
@@ -193,7 +231,14 @@ Optimum finished(const Task& task, const std::vector<Interval>& bounds, const We
         }
         optimum.record.evaluations += loss.evaluations();
     }
-    return task.control.over() ? optimum : settled(task, bounds, weighted, unknowns, level, scale2, optimum);
+    if (task.control.over()) return optimum;
+    optimum = settled(task, bounds, weighted, unknowns, level, scale2, optimum);
+    for (int round = 0; round < kRounds && optimum.record.stop_reason == StopReason::roundoff; ++round) {
+        const auto next = beside(task, bounds, weighted, unknowns, level, scale2, optimum);
+        if (!next) break;
+        optimum = settled(task, bounds, weighted, unknowns, level, scale2, *next);
+    }
+    return optimum;
 }
 
 /// A loss that is not quadratic in the coefficients, in all parameters.

@@ -1,0 +1,69 @@
+/// A model's loss over the space that a search moves in.
+#pragma once
+
+#include <cstddef>
+#include <span>
+#include <vector>
+
+#include "kernels/evaluator.h"
+#include "optim/loss.h"
+#include "optim/search.h"
+#include "optim/space.h"
+
+namespace brdfit::optim {
+
+/// The loss of a model over a space, divided by scale2 > 0, as an objective. References must outlive it. All members
+/// throw what the evaluator throws.
+class SpaceLoss {
+public:
+    /// With Unknowns::nonlinear the loss is Evaluator::project. With Unknowns::all `form`, the evaluator's data, says
+    /// whether residuals are logarithmic and whether the loss is robust.
+    SpaceLoss(kernels::Evaluator& evaluator, const SearchSpace& space, double scale2, const Weighted* form = nullptr)
+        : evaluator_(evaluator), space_(space), scale2_(scale2), form_(form) {}
+
+    /// The value at u, and its gradient unless that is empty.
+    double operator()(std::span<const double> u, std::span<double> gradient);
+    /// Looks at many points in one launch.
+    std::vector<Look> looks(std::span<const std::vector<double>> points);
+    /// Values at many points, in launches small enough to look at the clock between them; points left when time runs
+    /// out have the largest value.
+    std::vector<double> screen(const std::vector<std::vector<double>>& points, const SearchControl& control);
+    /// Has screen_roughly() look through fewer samples first, by a loss of the same space that must outlive this.
+    void glance_through(SpaceLoss& fewer) { fewer_ = &fewer; }
+    /// The same of points of which `wanted` shall be chosen: those that fewer samples tell to be poor have the largest
+    /// value.
+    std::vector<double> screen_roughly(const std::vector<std::vector<double>>& points, std::size_t wanted,
+                                       const SearchControl& control);
+    /// Fills in the loss, not divided, and the coefficients at minimum.u.
+    void complete(Minimum& minimum);
+
+    /// Those through fewer samples included.
+    [[nodiscard]] std::size_t evaluations() const {
+        return evaluations_ + (fewer_ != nullptr ? fewer_->evaluations() : 0);
+    }
+    /// Values and slopes of every term at every sample (Evaluator::terms).
+    [[nodiscard]] std::vector<double> terms(const Candidate& at) { return evaluator_.terms(at.parameters); }
+
+    [[nodiscard]] const SearchSpace& space() const { return space_; }
+    [[nodiscard]] double scale2() const { return scale2_; }
+    [[nodiscard]] bool robust() const { return form_ != nullptr && form_->robust != Robust::none; }
+    [[nodiscard]] std::size_t samples() const { return evaluator_.samples(); }
+
+private:
+    [[nodiscard]] bool logarithmic() const { return form_ != nullptr && form_->logarithmic; }
+    /// Evaluates points into batch_ and candidates_.
+    void evaluate(std::span<const std::vector<double>> points, bool gradient);
+
+    kernels::Evaluator& evaluator_;
+    const SearchSpace& space_;
+    double scale2_;
+    const Weighted* form_;
+    std::vector<Candidate> candidates_;  ///< of the last points, and memory of more
+    std::vector<double> parameters_, lower_, upper_;
+    kernels::Batch batch_;
+    std::vector<double> normal_, jacobian_, bent_;  ///< of one look
+    SpaceLoss* fewer_ = nullptr;
+    std::size_t evaluations_ = 0;
+};
+
+}  // namespace brdfit::optim
