@@ -16,31 +16,29 @@ Refitter::Refitter(const Task& task, const std::vector<Interval>& bounds, Residu
       evaluator_(task.engine, task.model, task.engine.best_precision(), task.directions, {}, {}) {}
 
 std::vector<Refitter::End> Refitter::descend(const Weighted& weighted, std::span<const Point> starts, double relative) {
-    return descend(weighted, starts, relative, 0);
+    return descend(evaluator_, weighted, starts, relative, 0);
 }
 
 Refitter::End Refitter::best(const Weighted& weighted, std::span<const Point> starts, double relative) {
     constexpr double kHopeful = 0.05;
     if (weighted.y.size() <= kThinAbove || logarithmic_ || starts.size() < 2)
-        return descend(weighted, starts, relative, kHopeful).front();
+        return descend(evaluator_, weighted, starts, relative, kHopeful).front();
     // Which it is a part of the samples tells.
     const Thinned few = thinned(weighted, task_.directions.directions(), kThinTo, task_.control.seed);
     const kernels::DirectionSet directions(few.directions);
     kernels::Evaluator evaluator(task_.engine, task_.model, task_.engine.best_precision(), directions, {}, {});
-    std::swap(evaluator, evaluator_);
-    const Point best = descend(few.data, starts, relative, kHopeful).front();
-    std::swap(evaluator, evaluator_);
-    return descend(weighted, {&best, 1}, relative, 0).front();
+    const Point best = descend(evaluator, few.data, starts, relative, kHopeful).front();
+    return descend(evaluator_, weighted, {&best, 1}, relative, 0).front();
 }
 
-std::vector<Refitter::End> Refitter::descend(const Weighted& weighted, std::span<const Point> starts, double relative,
-                                             double hopeful) {
+std::vector<Refitter::End> Refitter::descend(kernels::Evaluator& evaluator, const Weighted& weighted,
+                                             std::span<const Point> starts, double relative, double hopeful) {
     constexpr int kMostLooks = 40;
     const Weighted data = logarithmic_ ? weighted : balanced(weighted);
     const double norm2 = data.norm > 0 && !logarithmic_ ? data.norm * data.norm : 1.0;
     const double unit2 = data.norm > 0 && !logarithmic_ ? weighted.norm * weighted.norm / norm2 : 1.0;
-    evaluator_.assign(data.y, data.weight);
-    SpaceLoss loss(evaluator_, space_, norm2, logarithmic_ ? &data : nullptr);
+    evaluator.assign(data.y, data.weight);
+    SpaceLoss loss(evaluator, space_, norm2, logarithmic_ ? &data : nullptr);
     std::vector<Minimum> ends;
     if (space_.dimension() == 0) {
         ends.emplace_back();

@@ -34,7 +34,8 @@ public:
     [[nodiscard]] std::size_t evaluations() const { return evaluations_; }
 
 private:
-    std::vector<End> descend(const Weighted& weighted, std::span<const Point> starts, double relative, double hopeful);
+    std::vector<End> descend(kernels::Evaluator& evaluator, const Weighted& weighted, std::span<const Point> starts,
+                             double relative, double hopeful);
 
     const Task& task_;
     bool logarithmic_;

@@ -69,8 +69,7 @@ TEST_P(NoiseOf, IsRecoveredWithinItsStatedError) {
         const double spread = std::sqrt(square - mean * mean);
         std::printf(
             "%s, %g of the value, %g of the median: %.1f %% off, spread %.1f %%, stated %.1f %%; told by %g; the "
-            "relative "
-            "part %.1f %% off\n",
+            "relative part %.1f %% off\n",
             GetParam().c_str(), size.relative, size.floor, 100 * mean, 100 * spread, 100 * stated, told,
             100 * (relative - 1));
         EXPECT_GT(relative, 0.98);  // no floor is taken for a part of it
