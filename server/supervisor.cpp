@@ -44,8 +44,9 @@ constexpr milliseconds kObedience = 6s;   ///< ... or whose job was cancelled th
 constexpr milliseconds kStop = 8s;
 constexpr milliseconds kFirstPause{100};  ///< before a worker is started again; doubled if it was not ready
 constexpr milliseconds kLongestPause = 30s;
-constexpr unsigned kTries = 3;           ///< before the service begins without a worker
-constexpr milliseconds kForWorker = 5s;  ///< a question waits so long for a worker
+constexpr unsigned kTries = 3;            ///< before the service begins without a worker
+constexpr milliseconds kForFacts = 5s;    ///< what a worker has told, or that one is there, is awaited so long
+constexpr milliseconds kForWorker = 20s;  ///< ... and a worker that may be asked
 constexpr milliseconds kForAnswer = 60s;
 
 api::Refusal unavailable() {
@@ -197,6 +198,7 @@ struct Supervisor::Impl {
             case Channel::Kind::pong: {
                 const std::lock_guard lock(mutex);
                 worker.heard = Clock::now();
+                changed.notify_all();
                 break;
             }
             case Channel::Kind::evaluated: {
@@ -349,7 +351,7 @@ struct Supervisor::Impl {
     template <class Condition>
     api::DeviceFacts known(const Condition& enough) {
         std::unique_lock lock(mutex);
-        changed.wait_for(lock, kForWorker, [&] { return facts || stopping; });
+        changed.wait_for(lock, kForFacts, [&] { return facts || stopping; });
         changed.wait(lock, [&] { return stopping || !facts || enough(*facts) || !anybody(); });
         if (!facts) throw unavailable();
         return *facts;
@@ -359,15 +361,17 @@ struct Supervisor::Impl {
         return std::any_of(workers.begin(), workers.end(), [](const Worker& w) { return w.ready; });
     }
 
-    Answer ask(std::string_view body) {
+    /// Asks a worker that has been heard since then.
+    Answer ask(std::string_view body, Clock::time_point since) {
+        const auto can_tell = [since](const Worker& w) { return w.ready && w.channel && w.heard >= since; };
+        const auto find = [&] { return std::find_if(workers.begin(), workers.end(), can_tell); };
         std::future<Answer> answer;
         std::shared_ptr<Channel> channel;
         std::uint64_t number = 0;
         {
             std::unique_lock lock(mutex);
-            changed.wait_for(lock, kForWorker, [&] { return stopping || anybody(); });
-            const auto worker =
-                std::find_if(workers.begin(), workers.end(), [](const Worker& w) { return w.ready && w.channel; });
+            changed.wait_for(lock, kForWorker, [&] { return stopping || find() != workers.end(); });
+            const auto worker = find();
             if (stopping || worker == workers.end()) throw unavailable();
             number = ++questions;
             answer = worker->questions[number].get_future();
@@ -454,7 +458,7 @@ std::vector<kernels::Cost> Supervisor::costs(const kernels::Family& family) cons
 bool Supervisor::usable() const {
     std::unique_lock lock(impl_->mutex);
     // One that ended is soon there again.
-    impl_->changed.wait_for(lock, kForWorker, [this] { return impl_->stopping || impl_->anybody(); });
+    impl_->changed.wait_for(lock, kForFacts, [this] { return impl_->stopping || impl_->anybody(); });
     return impl_->facts && impl_->facts->usable() && impl_->anybody();
 }
 
@@ -480,8 +484,9 @@ std::string Supervisor::evaluate(std::string_view body) {
             throw api::Refusal({api::problem_type("invalid-request"),
                                 "/precision: " + *reason,
                                 {{"/precision", "unsupported", *reason, {}, {}}}});
-    for (int attempt = 0; attempt < 2; ++attempt)
-        if (auto answer = impl_->ask(body)) return *answer;
+    if (auto answer = impl_->ask(body, {})) return *answer;
+    // Others may have ended with the first, unnoticed yet.
+    if (auto answer = impl_->ask(body, Clock::now())) return *answer;
     throw unavailable();
 }
 

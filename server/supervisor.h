@@ -58,7 +58,8 @@ public:
     /// Waits a few seconds for a worker to be there.
     [[nodiscard]] bool usable() const override;
     [[nodiscard]] std::optional<std::string> refusal(kernels::Precision precision) const override;
-    /// Asked once more of another worker if the first ends over it.
+    /// Waits some seconds for a worker to be there; asked once more of one that is still there if the first ends over
+    /// it.
     [[nodiscard]] std::string evaluate(std::string_view body) override;
 
 private:
