@@ -77,13 +77,17 @@ def decades(f, y):
     return float(np.sqrt(np.mean(np.log10(np.maximum(f[seen], SMALLEST) / y[seen]) ** 2)))
 
 
-def hemisphere(theta_i_deg, pole_deg):
+def hemisphere(theta_i_deg, pole_deg, kink_deg=None):
     """Directions in polar coordinates about a pole in the plane of incidence, down to the horizon, and weights of
-    cos theta_r."""
+    cos theta_r. What is integrated may go as a root at a cone of directions kink_deg from the source."""
     pole = np.radians(abs(pole_deg))
     x, w = np.polynomial.legendre.leggauss(8)
     # Broad lobes end steeply at a right angle; the others are where circles meet the horizon.
     steep = [PI / 2, abs(PI / 2 - pole), PI / 2 + pole, 3 * PI / 2 - pole]
+    between = pole + np.radians(abs(theta_i_deg))       # the pole and the source
+    if kink_deg is not None:
+        kink = np.radians(kink_deg)
+        steep += [abs(between - kink), between + kink, 2 * PI - between - kink, PI - kink]
     near = np.concatenate([[0.0], np.geomspace(1e-6, 0.2, 10)])
     edges = np.concatenate([[0.0, PI], np.geomspace(1e-4, 0.3, 16), np.linspace(0.3, PI, 13)] +
                            [at + side * near for at in steep for side in (-1, 1)])
@@ -95,8 +99,18 @@ def hemisphere(theta_i_deg, pole_deg):
                         np.where((psi < PI / 2) == (pole < PI / 2), 2, -2))
     low = np.arccos(np.clip(edge, -1, 1))               # the horizon
     x, w = np.polynomial.legendre.leggauss(40)
-    chi = low[:, None] + (PI - low)[:, None] * (x + 1) / 2
-    size = (PI - low)[:, None] / 2 * w * (2 * weight * np.sin(psi))[:, None]
+    t, w = (x + 1) / 2, w / 2
+    if kink_deg is None:
+        chi = low[:, None] + (PI - low)[:, None] * t
+        size = (PI - low)[:, None] * w
+    else:  # the circle's part within the cone and that outside; squares of t take up the root
+        with np.errstate(all="ignore"):
+            turn = (np.cos(psi) * np.cos(between) - np.cos(kink)) / (np.sin(psi) * np.sin(between))
+        turn = np.maximum(np.arccos(np.clip(np.nan_to_num(turn, nan=1), -1, 1)), low)
+        parts = np.stack([low - turn, PI - turn])[:, :, None]
+        chi = np.concatenate(turn[:, None] + parts * t ** 2, axis=1)
+        size = np.concatenate(np.abs(parts) * 2 * t * w, axis=1)
+    size *= (2 * weight * np.sin(psi))[:, None]
     psi = psi[:, None]
     vx = np.sign(pole_deg or 1) * (np.cos(psi) * np.sin(pole) + np.sin(psi) * np.cos(chi) * np.cos(pole))
     vy = np.sin(psi) * np.sin(chi)
@@ -118,7 +132,10 @@ def albedo(fit, wavelength_um, theta_i_deg):
             data, weight = hemisphere(theta_i_deg, peak)
             sum_of_lobes += float(lobe(data, c_xy, c_z, n) @ weight)
         return sum_of_lobes
-    data, weight = hemisphere(theta_i_deg, theta_i_deg)
+    # Total reflection begins at the critical angle, which is half of that between source and view.
+    n = fit["parameters"]["n"]["value"] if fit["model"] == "he_torrance" else 1
+    kink_deg = 2 * np.degrees(np.arcsin(n)) if n < 1 else None
+    data, weight = hemisphere(theta_i_deg, theta_i_deg, kink_deg)
     return float(values(fit, wavelength_um, data) @ weight)
 
 
