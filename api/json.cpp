@@ -282,4 +282,10 @@ json parse_json(std::string_view text, const Critic& critic) {
     return std::move(builder.document);
 }
 
+std::string text_of(const nlohmann::ordered_json& value) {
+    return value.dump(-1, ' ', false, json::error_handler_t::replace);
+}
+
+std::string line_of(const nlohmann::ordered_json& value) { return text_of(value) + '\n'; }
+
 }  // namespace brdfit::api

@@ -2,6 +2,7 @@
 #pragma once
 
 #include <functional>
+#include <string>
 #include <string_view>
 #include <vector>
 
@@ -22,5 +23,10 @@ using Critic = std::function<std::vector<FieldError>(const nlohmann::json&)>;
 /// A document that grows large is shown to the critic now and then, and refused (422) as soon as something is wrong
 /// with it that what follows cannot mend: only what is measurements may take the memory of measurements.
 nlohmann::json parse_json(std::string_view text, const Critic& critic = {});
+
+/// In one line. Bytes of a client that are not UTF-8 are replaced.
+std::string text_of(const nlohmann::ordered_json& value);
+/// The same with the line's end.
+std::string line_of(const nlohmann::ordered_json& value);
 
 }  // namespace brdfit::api

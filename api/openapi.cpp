@@ -104,7 +104,7 @@ std::string escape_lines(std::string_view text) {
     return out;
 }
 
-constexpr std::string_view kHead = R"(<!DOCTYPE html>
+constexpr std::string_view kPage = R"(<!DOCTYPE html>
 <html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">
 <title>{}</title><style>
 body {{ font: 15px/1.5 system-ui, sans-serif; max-width: 60em; margin: 2em auto; padding: 0 1em; color: #222; }}
@@ -115,7 +115,7 @@ td, th {{ text-align: left; vertical-align: top; padding: .15em 1em .15em 0; }} 
 )";
 
 std::string page(std::string_view title, std::string_view body) {
-    return fmt::format(kHead, html(title)) + std::string(body) + "</body></html>\n";
+    return fmt::format(kPage, html(title)) + std::string(body) + "</body></html>\n";
 }
 
 void append_contents(std::string& out, std::string_view heading, const std::vector<Content>& contents) {

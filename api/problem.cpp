@@ -2,6 +2,8 @@
 
 #include <nlohmann/json.hpp>
 
+#include "api/json.h"
+
 namespace brdfit::api {
 std::string pointer_part(std::string_view key) {
     constexpr std::size_t kLongest = 200;
@@ -35,8 +37,7 @@ std::string to_json(const Problem& problem, const std::string& instance, const s
         if (error.column) entry["column"] = *error.column;
         body["errors"].push_back(std::move(entry));
     }
-    // A client's bytes may stand in a message: what is not UTF-8 is replaced, not thrown at.
-    return body.dump(-1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
+    return line_of(body);
 }
 
 std::string to_json(const ProblemType& type) {

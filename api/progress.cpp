@@ -4,6 +4,8 @@
 
 #include <nlohmann/json.hpp>
 
+#include "api/json.h"
+
 namespace brdfit::api {
 namespace {
 
@@ -17,8 +19,6 @@ Json task_json(const optim::Progress::Task& task) {
         task.relative_loss && std::isfinite(*task.relative_loss) ? Json(*task.relative_loss) : Json();
     return json;
 }
-
-std::string text_of(const Json& json) { return json.dump(-1, ' ', false, Json::error_handler_t::replace); }
 
 }  // namespace
 

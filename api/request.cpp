@@ -258,7 +258,7 @@ PostedFit read_posted_fit(std::string_view body, const kernels::Catalogue& catal
 PostedFit read_posted_fit_csv(std::string_view body, const Query& query, const kernels::Catalogue& catalogue) {
     PostedFit posted{read_fit_request_csv(body, query, catalogue).options.precision, "", {}};
     // Not within JSON, where reading it again would take several times its size.
-    const std::string line = json(query).dump(-1, ' ', false, json::error_handler_t::replace) + "\n";
+    const std::string line = line_of(query);
     posted.text.reserve(kCsvJob.size() + line.size() + body.size());
     posted.text.append(kCsvJob).append(line).append(body);
     return posted;

@@ -6,6 +6,7 @@
 #include <nlohmann/json.hpp>
 
 #include "api/evaluate.h"
+#include "api/json.h"
 #include "api/names.h"
 #include "api/samples.h"
 
@@ -13,8 +14,6 @@ namespace brdfit::api {
 namespace {
 
 using Json = nlohmann::ordered_json;  // members in the order people read them
-
-std::string text_of(const Json& body) { return body.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n"; }
 
 Json number(double value) { return std::isfinite(value) ? Json(value) : Json(nullptr); }
 Json number(const std::optional<double>& value) { return value ? number(*value) : Json(nullptr); }
@@ -370,13 +369,13 @@ std::string to_json(const optim::Report& report, const std::string& id) {
     if (report.scene) json["scene"] = scene_json(*report.scene);
     json["channels"] = std::move(channels);
     json["links"] = fit_links(id);
-    return text_of(json);
+    return line_of(json);
 }
 
 std::string to_json(const kernels::Catalogue& catalogue) {
     Json models = Json::array();
     for (const kernels::Family& family : catalogue.families()) models.push_back(family_json(family));
-    return text_of({{"models", models}});
+    return line_of({{"models", models}});
 }
 
 std::string to_json(const kernels::Family& family, std::span<const kernels::Cost> costs) {
@@ -392,10 +391,10 @@ std::string to_json(const kernels::Family& family, std::span<const kernels::Cost
         cost.update(cost_json(costs[i]));
         json["costs"].push_back(std::move(cost));
     }
-    return text_of(json);
+    return line_of(json);
 }
 
-std::string to_json(std::span<const kernels::SelfTest> tests) { return text_of(self_tests_json(tests)); }
+std::string to_json(std::span<const kernels::SelfTest> tests) { return line_of(self_tests_json(tests)); }
 
 std::string to_json(const kernels::DeviceInfo& device, std::span<const kernels::Throughput> throughputs) {
     Json precisions = Json::array();
@@ -417,7 +416,7 @@ std::string to_json(const kernels::DeviceInfo& device, std::span<const kernels::
                               {"exps_per_s", number(throughput.exps_per_s)},
                               {"models", models}});
     }
-    return text_of({{"device", device_json(device)}, {"samples", kernels::kLaunchSamples}, {"precisions", precisions}});
+    return line_of({{"device", device_json(device)}, {"samples", kernels::kLaunchSamples}, {"precisions", precisions}});
 }
 
 std::string to_json(const kernels::DeviceInfo& device, const optim::FitBench& bench) {
@@ -442,7 +441,7 @@ std::string to_json(const kernels::DeviceInfo& device, const optim::FitBench& be
                            {"last_per_s", number(b.last_per_s)},
                            {"first_MiB", number(b.first_MiB)},
                            {"last_MiB", number(b.last_MiB)}});
-    return text_of(
+    return line_of(
         {{"device", device_json(device)}, {"threads", bench.threads}, {"timings", timings}, {"batches", batches}});
 }
 
@@ -477,7 +476,7 @@ std::string to_json(const kernels::DeviceInfo& device, const optim::TradeBench& 
                           {"log_epsilon", number(p.log_epsilon)},
                           {"error", number(p.error)},
                           {"ns", number(p.ns)}});
-    return text_of({{"device", device_json(device)},
+    return line_of({{"device", device_json(device)},
                     {"seeds", bench.seeds},
                     {"cells", cells},
                     {"shifts", shifts},
@@ -486,7 +485,7 @@ std::string to_json(const kernels::DeviceInfo& device, const optim::TradeBench& 
 
 std::string service_json(const kernels::DeviceInfo& device, std::span<const kernels::SelfTest> tests,
                          std::size_t largest_body) {
-    return text_of({{"name", "brdfit"},
+    return line_of({{"name", "brdfit"},
                     {"version", version()},
                     {"device", device_json(device)},
                     {"selftest", self_tests_json(tests)},
@@ -498,10 +497,10 @@ std::string service_json(const kernels::DeviceInfo& device, std::span<const kern
                     {"links", service_links()}});
 }
 
-std::string links_json() { return text_of({{"name", "brdfit"}, {"version", version()}, {"links", service_links()}}); }
+std::string links_json() { return line_of({{"name", "brdfit"}, {"version", version()}, {"links", service_links()}}); }
 
 std::string ready_json(std::span<const kernels::SelfTest> tests, bool ready) {
-    return text_of({{"status", ready ? "ready" : "unfit"}, {"selftest", self_tests_json(tests)}});
+    return line_of({{"status", ready ? "ready" : "unfit"}, {"selftest", self_tests_json(tests)}});
 }
 
 }  // namespace brdfit::api

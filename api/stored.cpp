@@ -6,6 +6,7 @@
 
 #include <nlohmann/json.hpp>
 
+#include "api/json.h"
 #include "api/names.h"
 #include "api/response.h"
 
@@ -13,8 +14,6 @@ namespace brdfit::api {
 namespace {
 
 using Json = nlohmann::ordered_json;
-
-std::string text_of(const Json& body) { return body.dump(-1, ' ', false, Json::error_handler_t::replace) + "\n"; }
 
 /// An object that we wrote ourselves earlier; null if it is none.
 Json object_of(std::string_view text) {
@@ -57,7 +56,7 @@ template <class Item, class Write>
 std::string page(std::span<const Item> items, const std::optional<std::string>& next, const Write& write) {
     Json json{{"items", Json::array()}, {"next_cursor", next ? Json(*next) : Json(nullptr)}};
     for (const Item& item : items) json["items"].push_back(write(item));
-    return text_of(json);
+    return line_of(json);
 }
 
 Json range_json(double least, double most) { return {{"min", least}, {"max", most}}; }
@@ -109,7 +108,7 @@ std::string csv_field(const Json& value) {
 
 }  // namespace
 
-std::string to_json(const FitStatus& status) { return text_of(status_json(status)); }
+std::string to_json(const FitStatus& status) { return line_of(status_json(status)); }
 
 std::string page_json(std::span<const FitStatus> items, const std::optional<std::string>& next) {
     return page(items, next, status_json);
@@ -122,14 +121,14 @@ FailedFit failed_fit(std::string_view error, const std::string& instance, const 
         return {500, to_json(Problem{problem_type("internal"), "the fit failed", {}}, instance, request_id)};
     json["instance"] = instance;
     json["request_id"] = request_id;
-    return {status, text_of(json)};
+    return {status, line_of(json)};
 }
 
 std::string event_json(std::string_view kind, std::string_view body, const std::string& at) {
     Json json = kind == "state" || kind == "done" ? Json{{"state", body}} : object_of(body);
     if (json.is_null()) json = Json::object();
     json["at"] = at;
-    return json.dump(-1, ' ', false, Json::error_handler_t::replace);
+    return text_of(json);
 }
 
 std::string result_csv(std::string_view result) {
@@ -167,18 +166,18 @@ std::string summary_json(const optim::Dataset& dataset) {
         samples += channel.samples.size();
         channels.push_back(channel_summary(channel));
     }
-    return text_of({{"name", dataset.name},
+    return line_of({{"name", dataset.name},
                     {"unit", name_of(kUnits, dataset.unit)},
                     {"samples", samples},
                     {"channels", channels}});
 }
 
-std::string to_json(const StoredDataset& dataset) { return text_of(dataset_json(dataset)); }
+std::string to_json(const StoredDataset& dataset) { return line_of(dataset_json(dataset)); }
 
 std::string to_json(const StoredDataset& dataset, std::string_view body) {
     Json json = dataset_json(dataset);
     json["dataset"] = object_of(body);
-    return text_of(json);
+    return line_of(json);
 }
 
 std::string page_json(std::span<const StoredDataset> items, const std::optional<std::string>& next) {

@@ -6,8 +6,9 @@
 #include <vector>
 
 #include <boost/algorithm/string/predicate.hpp>
-#include <boost/algorithm/string/split.hpp>
 #include <boost/algorithm/string/trim.hpp>
+
+#include "server/headers.h"
 
 namespace brdfit::server {
 namespace {
@@ -25,16 +26,6 @@ bool is_token(std::string_view text) {
 }
 
 bool is_hex(char c) { return std::isxdigit(static_cast<unsigned char>(c)) != 0; }
-
-/// Whether a comma-separated list holds a token, in any case.
-bool lists(std::string_view list, std::string_view token) {
-    std::vector<std::string> parts;
-    boost::algorithm::split(parts, list, [](char c) { return c == ','; });
-    return std::any_of(parts.begin(), parts.end(), [&](std::string& part) {
-        boost::algorithm::trim(part);
-        return boost::algorithm::iequals(part, token);
-    });
-}
 
 /// Method, target and version.
 std::optional<Problem> read_request_line(std::string_view line, Head& head) {
