@@ -46,7 +46,7 @@ constexpr milliseconds kLease = 30s;
 constexpr milliseconds kBeat = 250ms;         ///< between heartbeats, each with progress
 constexpr milliseconds kSoonest = 50ms;       ///< ... when woken
 constexpr milliseconds kPoll = 1000ms;        ///< for jobs that nobody told of
-constexpr milliseconds kObedience = 5s;       ///< a job that goes on so long after its stop ends the process
+constexpr milliseconds kLastMoments = 5s;     ///< a job that goes on so long after its stop ends the process
 constexpr milliseconds kOverdue = 60s;        ///< ... or so long after its time limit
 constexpr milliseconds kLastWork = 4s;        ///< for interactive jobs when the worker stops
 constexpr milliseconds kReturn = 3s;          ///< for searches to heed a stop
@@ -410,7 +410,7 @@ void Worker::beat(Running& job) {
         }
         if (job.lost || job.cancelled) ask_to_stop(job);
         // Nothing but the end of the process ends a search that does not heed: others of its jobs are tried again.
-        if ((job.stopped && now - *job.stopped > kObedience) || now - job.begun > job.time_limit.load() + kOverdue) {
+        if ((job.stopped && now - *job.stopped > kLastMoments) || now - job.begun > job.time_limit.load() + kOverdue) {
             spdlog::critical("fit {} does not end: this worker does", lease.job);
             std::_Exit(1);
         }
