@@ -265,7 +265,8 @@ void describe(const Work& work, const Variant* smaller, double robust_scale, Var
     if (work.request.submodel != nullptr) fit.submodel = work.request.submodel->name;
     if (work.unit == Unit::relative) fit.scale = optimum.scale * prepared.unit;
     variant.refitter.emplace(variant.task, prepared.bounds);
-    for (const double value : variant.refitter->values(optimum, false).f) fit.values.push_back(value * prepared.unit);
+    // With slopes, which standard errors will ask for.
+    for (const double value : variant.refitter->values(optimum, true).f) fit.values.push_back(value * prepared.unit);
     fit.loss = std::sqrt(residuals(weighted, fit.values).loss2);
     if (!std::isfinite(fit.loss)) throw SearchError("the model gave a value that is not finite");
     fit.relative_loss = weighted.norm > 0 ? fit.loss / weighted.norm : 0.0;
