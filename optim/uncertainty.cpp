@@ -173,12 +173,14 @@ private:
     }
 
     /// The standard deviation of each sample's pull: its slope by y, where the data's is known, else its own size.
-    [[nodiscard]] VectorXd spreads(const MatrixXd& rows, const MatrixXd& a_inverse) const {
+    [[nodiscard]] VectorXd spreads(const MatrixXd& a_inverse) const {
         const Task& task = estimate_.task;
         if (estimate_.sigma.empty()) {
             VectorXd result = pulls(task.weighted, residuals_);
             for (Index j = 0; j < n_; ++j) {  // HC3: a sample that draws the fit near looks better than it is
-                const double leverage = rows.cols() == 0 ? 0.0 : rows.row(j).dot(a_inverse * rows.row(j).transpose());
+                const double leverage =
+                    count() == 0 ? 0.0
+                                 : root_(j) * root_(j) * slopes_.row(j).dot(a_inverse * slopes_.row(j).transpose());
                 result(j) /= std::max(1 - leverage, 0.05);
             }
             return result;
@@ -195,23 +197,35 @@ private:
         return result;
     }
 
+    /// The slopes' weighted products: sum over samples of weights^2 slope slope'.
+    static MatrixXd products(const MatrixXd& slopes, const VectorXd& weights) {
+        constexpr Index kBlock = 256;
+        MatrixXd sum = MatrixXd::Zero(slopes.cols(), slopes.cols());
+        MatrixXd block;
+        for (Index first = 0; first < slopes.rows(); first += kBlock) {
+            const Index size = std::min(kBlock, slopes.rows() - first);
+            block.noalias() = weights.segment(first, size).asDiagonal() * slopes.middleRows(first, size);
+            sum.noalias() += block.transpose() * block;
+        }
+        return sum;
+    }
+
     void solve() {
         const Index p = count();
-        MatrixXd slopes(n_, p);  // d scale f/d z
-        for (Index i = 0; i < p; ++i) slopes.col(i) = column(coordinates_[at(i)]);
-        MatrixXd rows = root_.asDiagonal() * slopes;
-        unit_ = rows.colwise().norm().cwiseInverse();
-        rows *= unit_.asDiagonal();
+        slopes_.resize(n_, p);  // d scale f/d z
+        for (Index i = 0; i < p; ++i) slopes_.col(i) = column(coordinates_[at(i)]);
+        const MatrixXd a = products(slopes_, root_);
+        unit_ = a.diagonal().cwiseSqrt().cwiseInverse();
         cov_ = MatrixXd::Constant(p, p, NAN);
         determined_.assign(at(p), true);
         if (p == 0) {  // all are fixed or at bounds
-            slopes_ = slopes;
             a_inverse_ = MatrixXd(0, 0);
-            spreads_ = spreads(rows, a_inverse_);
+            spreads_ = spreads(a_inverse_);
             return;
         }
-        if (!rows.allFinite()) return;
-        const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(rows.transpose() * rows);
+        const MatrixXd scaled = unit_.asDiagonal() * a * unit_.asDiagonal();
+        if (!scaled.allFinite()) return;
+        const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(scaled);
         std::vector<Index> kept;
         for (Index e = 0; e < p; ++e) {
             if (eigen.eigenvalues()(e) > kUndetermined) {
@@ -224,14 +238,13 @@ private:
         }
         const MatrixXd v = eigen.eigenvectors()(Eigen::all, kept);
         const VectorXd lambda = eigen.eigenvalues()(kept);
-        const MatrixXd a_inverse = v * lambda.cwiseInverse().asDiagonal() * v.transpose();
-        spreads_ = spreads(rows, a_inverse);
-        const MatrixXd scaled = spreads_.asDiagonal() * slopes * unit_.asDiagonal() * v;
-        const MatrixXd b = scaled.transpose() * scaled;
+        const MatrixXd directions = unit_.asDiagonal() * v;
+        a_inverse_ = directions * lambda.cwiseInverse().asDiagonal() * directions.transpose();
+        spreads_ = spreads(a_inverse_);
+        const MatrixXd b = directions.transpose() * products(slopes_, spreads_) * directions;
         // The curvature in units of Gauss and Newton's, so that it is 1 where there is no misfit.
         const VectorXd white = lambda.cwiseSqrt().cwiseInverse();
         const VectorXd errors = b.diagonal().cwiseSqrt().cwiseQuotient(lambda);
-        const MatrixXd directions = unit_.asDiagonal() * v;
         const Eigen::SelfAdjointEigenSolver<MatrixXd> bend(MatrixXd::Identity(white.size(), white.size()) +
                                                            misfit_curvature(directions, errors, white));
         constexpr double kLeast = 0.05;  // less is a kink, or no minimum
@@ -240,12 +253,10 @@ private:
         const MatrixXd h_inverse = white.asDiagonal() * bend.eigenvectors() * inverse.asDiagonal() *
                                    bend.eigenvectors().transpose() * white.asDiagonal();
         cov_ = directions * h_inverse * b * h_inverse * directions.transpose();
-        influences_ = scaled * h_inverse * directions.transpose();
+        by_slopes_ = directions * h_inverse * directions.transpose();
         const MatrixXd back = unit_.cwiseInverse().asDiagonal() * v * lambda.cwiseSqrt().asDiagonal();
         const VectorXd more = bent.array() - 1;
         misfit_ = back * bend.eigenvectors() * more.asDiagonal() * bend.eigenvectors().transpose() * back.transpose();
-        slopes_ = std::move(slopes);
-        a_inverse_ = unit_.asDiagonal() * a_inverse * unit_.asDiagonal();
     }
 
     /// From 0 to 1: whether residuals are larger than noise makes them, by 2 standard deviations of their weighted sum
@@ -363,13 +374,13 @@ private:
     }
     /// The same as an unknown sees it.
     [[nodiscard]] double degrees_of(Index i) const {
-        if (estimate_.sigma.empty() || !estimate_.noise.record.floor || influences_.size() == 0)
-            return degrees_of_all();
+        if (estimate_.sigma.empty() || !estimate_.noise.record.floor || by_slopes_.size() == 0) return degrees_of_all();
+        const VectorXd influences = spreads_.cwiseProduct(slopes_ * by_slopes_.col(i));
         const double floor = *estimate_.noise.record.floor;
         double part = 0;
         double whole = 0;
         for (Index j = 0; j < n_; ++j) {
-            const double variance = influences_(j, i) * influences_(j, i);
+            const double variance = influences(j) * influences(j);
             whole += variance;
             part += variance * std::min(std::pow(floor / estimate_.noise.sigma[at(j)], 2), 1.0);
         }
@@ -476,8 +487,8 @@ private:
     VectorXd root_;  ///< of the weights
     VectorXd unit_, spreads_;
     MatrixXd slopes_, a_inverse_, cov_;
-    MatrixXd misfit_;      ///< what misfit adds to half the loss's curvature
-    MatrixXd influences_;  ///< of each sample's standard deviation on each unknown
+    MatrixXd misfit_;     ///< what misfit adds to half the loss's curvature
+    MatrixXd by_slopes_;  ///< what a pull on the slopes does to each unknown
 };
 
 /// Bias-corrected percentiles of a sorted sample about the estimate (Efron 1981), as far out as `reach` standard errors
