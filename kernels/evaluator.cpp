@@ -3,6 +3,7 @@
 #include <sys/mman.h>
 
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <condition_variable>
 #include <cstdlib>
@@ -205,7 +206,15 @@ struct Gear {
     cl::Kernel solve, sum, add;  // sliced only
     cl::Buffer in_buffer, scratch_buffer, out_buffer;
     cl::Buffer products_buffer, sums_buffer;  // sliced only
+
+    [[nodiscard]] std::array<cl::Buffer*, 5> buffers() {
+        return {&in_buffer, &scratch_buffer, &out_buffer, &products_buffer, &sums_buffer};
+    }
 };
+
+std::size_t bytes_of(const cl::Buffer& buffer) {
+    return buffer() != nullptr ? buffer.getInfo<CL_MEM_SIZE>() : std::size_t{0};
+}
 
 /// Another's that has ended, or a new one.
 std::shared_ptr<Gear> take_gear(Engine::Impl& shared, const cl::Program& program) {
@@ -215,22 +224,27 @@ std::shared_ptr<Gear> take_gear(Engine::Impl& shared, const cl::Program& program
         if (!spare.empty()) {
             std::shared_ptr<Gear> gear = std::static_pointer_cast<Gear>(std::move(spare.back()));
             spare.pop_back();
+            for (cl::Buffer* buffer : gear->buffers()) shared.spare_bytes -= bytes_of(*buffer);
             return gear;
         }
     }
     return std::make_shared<Gear>(shared, program);
 }
 
-/// Keeps some of what nobody needs any more, but no large buffers.
+/// Keeps some of what nobody needs any more: of large buffers, which take long to fault in, not many.
 void leave_gear(Engine::Impl& shared, std::shared_ptr<Gear> gear) {
     constexpr std::size_t kMostSpare = 16;
-    constexpr std::size_t kMostBytes = std::size_t{1} << 20;
-    for (cl::Buffer* buffer :
-         {&gear->in_buffer, &gear->scratch_buffer, &gear->out_buffer, &gear->products_buffer, &gear->sums_buffer})
-        if ((*buffer)() != nullptr && buffer->getInfo<CL_MEM_SIZE>() > kMostBytes) *buffer = {};
+    constexpr std::size_t kSmall = std::size_t{1} << 20;  // bytes
+    constexpr std::size_t kMostBytes = std::size_t{32} << 20;
     const std::lock_guard lock(shared.spare_mutex);
     auto& spare = shared.spare[gear->program()];
-    if (spare.size() < kMostSpare) spare.push_back(std::move(gear));
+    if (spare.size() >= kMostSpare) return;
+    for (cl::Buffer* buffer : gear->buffers()) {
+        const std::size_t bytes = bytes_of(*buffer);
+        if (bytes > kSmall && shared.spare_bytes + bytes > kMostBytes) *buffer = {};
+        else shared.spare_bytes += bytes;
+    }
+    spare.push_back(std::move(gear));
 }
 
 }  // namespace
