@@ -28,9 +28,9 @@ std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
 class Sandwich {
 public:
-    Sandwich(const Estimate& estimate, Refitter& refitter) : estimate_(estimate), refitter_(refitter) {
+    Sandwich(const Estimate& estimate, Refitter& refitter)
+        : estimate_(estimate), refitter_(refitter), values_(refitter.values(estimate.point, true)) {
         const Task& task = estimate.task;
-        values_ = refitter.values(estimate.point, true);
         residuals_ = residuals(task.weighted, values_.f);
         n_ = static_cast<Index>(values_.f.size());
         root_ = root_weights(task.weighted, residuals_);
@@ -139,11 +139,12 @@ private:
         const double* row = values_.by_parameter.data() + *c.parameter * at(n_);
         if (c.own != Own::square || c.p > 0) return c.slope(c.p) * Eigen::Map<const VectorXd>(row, n_);
         // Of an even function at 0: the slope by the square, from a little beside it.
-        Point beside = estimate_.point;
+        std::vector<double> beside = estimate_.point.parameters;
         const double step = 1e-3;
-        beside.parameters[*c.parameter] = step;
-        const kernels::Values there = refitter_.values(beside, true);
-        return 0.5 / step * Eigen::Map<const VectorXd>(there.by_parameter.data() + *c.parameter * at(n_), n_);
+        beside[*c.parameter] = step;
+        const kernels::Values there = refitter_.evaluator().values(beside, true);
+        return 0.5 / step * estimate_.point.scale *
+               Eigen::Map<const VectorXd>(there.by_parameter.data() + *c.parameter * at(n_), n_);
     }
 
     /// Root of the weights, with the slope of the residual.
@@ -478,7 +479,7 @@ private:
 
     const Estimate& estimate_;
     Refitter& refitter_;
-    kernels::Values values_;
+    const kernels::Values& values_;  ///< the refitter's, until it is asked for others: profiles do so
     Residuals residuals_;
     Index n_ = 0;
     std::vector<Coordinate> coordinates_;
