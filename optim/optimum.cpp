@@ -35,7 +35,7 @@ constexpr std::size_t kPolished = 6;
 /// From ends that a part of the samples has shown, through all of them: these are as good as there, and what cannot be
 /// the best is not followed.
 constexpr DescentGoal kThroughAllGoal{
-    .relative = 3e-10, .absolute = 1e-26, .looks = 60, .damping = 1e-4, .hopeful = 0.1};
+    .relative = 1e-11, .absolute = 1e-26, .looks = 60, .damping = 1e-4, .hopeful = 0.1};
 
 /// Searches under reweighted squares, each from the fit before.
 constexpr int kReweightings = 6;

@@ -30,7 +30,7 @@ public:
     /// scale f at each sample, with the unit of the task's channel; on request by each parameter as well. Valid until the
     /// next call.
     const kernels::Values& values(const Point& point, bool gradient);
-    /// The evaluator, with the data of the last descent.
+    /// The evaluator, with the data of the last descent or what a caller has assigned since: descents assign their own.
     [[nodiscard]] kernels::Evaluator& evaluator() { return evaluator_; }
     [[nodiscard]] bool logarithmic() const { return logarithmic_; }
     [[nodiscard]] std::size_t evaluations() const { return evaluations_; }
