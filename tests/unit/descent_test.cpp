@@ -210,7 +210,7 @@ TEST_P(EveryLook, HasTheCurvatureOfAnExactFit) {
 /// A model that cannot follow its data, seen through all of them or through every third.
 TEST(BentLooks, HaveNewtonsCurvatureWhereItIsPositive) {
     const kernels::Model& model = variant("phong");
-    const kernels::DirectionSet directions(scan_directions({15, 45, 70}, 40));
+    const kernels::DirectionSet directions(scan_directions({15, 45, 70}, 2));
     const SearchSpace space(model, {{0, 1}, {0, 1}, {1, 1000}});
     std::vector<double> y, w;
     Random random(9);
@@ -243,7 +243,7 @@ TEST(BentLooks, HaveNewtonsCurvatureWhereItIsPositive) {
 
 TEST(DearLosses, AreNotLookedAtTwice) {
     const kernels::Model& model = variant("ward");
-    const kernels::DirectionSet directions(scan_directions({15, 45, 70}, 3000));
+    const kernels::DirectionSet directions(scan_directions({15, 45, 70}, 0.05));
     const SearchSpace space(model, {{0, 1}, {0, 1}, {0.01, 1}});
     const std::vector<double> ones(directions.directions().size(), 1.0);
     kernels::Evaluator evaluator(engine(), model, engine().best_precision(), directions, ones, ones);

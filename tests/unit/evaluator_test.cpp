@@ -487,7 +487,7 @@ TEST(Batches, NoCandidatesAreNoResults) {
 /// Threads that ask for many directions' columns together each form a part of them.
 TEST(Columns, OfManyDirectionsAreThoseOfEachAlone) {
     const Model& model = variant("he_torrance");
-    std::vector<Direction> many = scan_directions({5, 20, 35, 50, 65, 80}, 3001);
+    std::vector<Direction> many = scan_directions({5, 20, 35, 50, 65, 80}, 0.05);
     const kernels::DirectionSet directions(many);
     const std::vector<double> parameters{0.3, 2, 1.5, 0.1, 0.2};
     std::vector<std::future<std::vector<double>>> found;
