@@ -28,7 +28,7 @@ struct Engine::Impl {
     std::mutex spare_mutex;  // guards spare, spare_bytes
     /// Queues, kernels and buffers that evaluators of a program have left for the next ones.
     std::map<cl_program, std::vector<std::shared_ptr<void>>> spare;
-    std::size_t spare_bytes = 0;  ///< of all those buffers
+    std::size_t spare_bytes = 0;                 ///< of all those buffers
     mutable std::mutex withdrawn_mutex;          // guards withdrawn; not held while the compiler runs
     std::map<Precision, std::string> withdrawn;  // why
 

@@ -27,8 +27,8 @@ public:
     std::vector<End> descend(const Weighted& weighted, std::span<const Point> starts, double relative);
     /// The best of those ends alone: a descent that cannot be it is not followed to its own.
     End best(const Weighted& weighted, std::span<const Point> starts, double relative);
-    /// scale f at each sample, with the unit of the task's channel; on request by each parameter as well. Valid until the
-    /// next call.
+    /// scale f at each sample, with the unit of the task's channel; on request by each parameter as well. Valid until
+    /// the next call.
     const kernels::Values& values(const Point& point, bool gradient);
     /// The evaluator, with the data of the last descent or what a caller has assigned since: descents assign their own.
     [[nodiscard]] kernels::Evaluator& evaluator() { return evaluator_; }
