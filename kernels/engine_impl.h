@@ -25,9 +25,10 @@ struct Engine::Impl {
     enum class Purpose { full_accuracy, search_accuracy, hemisphere };
     /// By what differs in their texts, which are long: header and text of the model.
     std::map<std::tuple<Precision, Purpose, std::string, std::string>, cl::Program> programs;
-    std::mutex spare_mutex;  // guards spare
+    std::mutex spare_mutex;  // guards spare, spare_bytes
     /// Queues, kernels and buffers that evaluators of a program have left for the next ones.
     std::map<cl_program, std::vector<std::shared_ptr<void>>> spare;
+    std::size_t spare_bytes = 0;                 ///< of all those buffers
     mutable std::mutex withdrawn_mutex;          // guards withdrawn; not held while the compiler runs
     std::map<Precision, std::string> withdrawn;  // why
 

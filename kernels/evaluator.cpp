@@ -1,9 +1,16 @@
 #include "kernels/evaluator.h"
 
+#include <sys/mman.h>
+
 #include <algorithm>
+#include <array>
+#include <atomic>
+#include <condition_variable>
+#include <cstdlib>
 #include <limits>
 #include <map>
 #include <mutex>
+#include <new>
 #include <tuple>
 
 #include <boost/geometry.hpp>  // the convex hull of the samples' columns
@@ -22,24 +29,106 @@ constexpr std::size_t kScratchBytes = std::size_t{64} << 20;
 constexpr std::size_t kSlice = 16;
 /// Work-items of a work-group of a GPU.
 constexpr std::size_t kGroup = 64;
+
+/// Memory for a large table. Its pages are large as well where the system has such: faulting small ones in takes longer
+/// than filling them.
+struct LargeMemory {
+    explicit LargeMemory(std::size_t bytes) {
+        constexpr std::size_t kPage = std::size_t{2} << 20;
+        const std::size_t whole = (bytes + kPage - 1) / kPage * kPage;
+        memory.reset(std::aligned_alloc(kPage, whole));
+        if (!memory) throw std::bad_alloc();
+        (void)::madvise(memory.get(), whole, MADV_HUGEPAGE);  // a wish
+    }
+    struct Free {
+        void operator()(void* pointer) const { std::free(pointer); }  // NOLINT(cppcoreguidelines-no-malloc)
+    };
+    std::unique_ptr<void, Free> memory;
+};
+
+/// The geometry columns of a set of directions in one precision, on one device. On a CPU the device reads the host's
+/// memory where the table is large.
+class ColumnTable {
+public:
+    ColumnTable(const Engine::Impl& shared, Precision precision, std::size_t padded)
+        : context_(shared.context), precision_(precision), padded_(padded) {
+        const std::size_t bytes = geometry_columns().size() * padded * size_of(precision);
+        if (shared.info.type == "cpu" && bytes >= kLarge) large_.emplace(bytes);
+        else small_.resize(geometry_columns().size() * padded);
+    }
+
+    /// Returns when the table is formed, by this thread and those that ask for it at the same time.
+    void form(const std::vector<Direction>& directions) {
+        for (std::size_t first = next_.fetch_add(kShare); first < padded_; first = next_.fetch_add(kShare)) {
+            const std::size_t end = std::min(padded_, first + kShare);
+            if (!large_) fill(directions, first, end, small_.data());
+            else if (precision_ == Precision::double_precision)
+                fill(directions, first, end, static_cast<double*>(large_->memory.get()));
+            else fill(directions, first, end, static_cast<float*>(large_->memory.get()));
+            const std::lock_guard lock(mutex_);
+            formed_ += end - first;
+        }
+        std::unique_lock lock(mutex_);
+        if (formed_ == padded_) all_formed_.notify_all();
+        all_formed_.wait(lock, [&] { return formed_ == padded_; });
+        if (buffer_() == nullptr) make_buffer();
+    }
+
+    [[nodiscard]] const cl::Buffer& buffer() const { return buffer_; }
+
+private:
+    static constexpr std::size_t kLarge = std::size_t{1} << 20;  // bytes
+    static constexpr std::size_t kShare = 4096;                  // samples that a thread takes at a time
+
+    template <typename Scalar>
+    void fill(const std::vector<Direction>& directions, std::size_t first, std::size_t end, Scalar* values) const {
+        const auto columns = geometry_columns();
+        Angles angles{Direction{}};
+        if (!directions.empty()) angles.turn(canonical(directions[std::min(first, directions.size() - 1)]));
+        for (std::size_t j = first; j < end; ++j) {
+            if (j < directions.size()) angles.turn(canonical(directions[j]));
+            for (std::size_t i = 0; i < columns.size(); ++i)
+                values[i * padded_ + j] = static_cast<Scalar>(columns[i].read(angles, precision_));
+        }
+    }
+
+    void make_buffer() {
+        if (large_)
+            buffer_ = cl::Buffer(context_, CL_MEM_READ_ONLY | CL_MEM_USE_HOST_PTR,
+                                 geometry_columns().size() * padded_ * size_of(precision_), large_->memory.get());
+        else buffer_ = constant_buffer(context_, precision_, small_);
+        small_ = {};
+    }
+
+    cl::Context context_;
+    Precision precision_;
+    std::size_t padded_;
+    std::optional<LargeMemory> large_;  // outlives the buffer
+    std::vector<double> small_;
+    std::atomic<std::size_t> next_ = 0;
+    std::mutex mutex_;  // guards what follows, until all is formed
+    std::condition_variable all_formed_;
+    std::size_t formed_ = 0;
+    cl::Buffer buffer_;
+};
+
 }  // namespace
 
 struct DirectionSet::Impl {
     explicit Impl(std::vector<Direction> list) : directions(std::move(list)) {}
 
-    /// The columns on the device, samples padded by copies of the last.
-    cl::Buffer columns(const Engine::Impl& shared, Precision precision, std::size_t padded) {
-        const std::lock_guard lock(mutex);
-        cl::Buffer& buffer = buffers[{shared.context(), precision, padded}];
-        if (buffer() != nullptr) return buffer;
-        const auto table = geometry_columns();
-        std::vector<double> values(table.size() * padded);
-        Angles angles{Direction{}};
-        for (std::size_t j = 0; j < padded; ++j) {
-            if (j < directions.size()) angles.turn(canonical(directions[j]));
-            for (std::size_t i = 0; i < table.size(); ++i) values[i * padded + j] = table[i].read(angles, precision);
+    /// The columns on the device, samples padded by copies of the last. Threads that ask for them meanwhile form their
+    /// part of them.
+    std::shared_ptr<const ColumnTable> columns(const Engine::Impl& shared, Precision precision, std::size_t padded) {
+        std::shared_ptr<ColumnTable> table;
+        {
+            const std::lock_guard lock(mutex);
+            std::shared_ptr<ColumnTable>& known = tables[{shared.context(), precision, padded}];
+            if (!known) known = std::make_shared<ColumnTable>(shared, precision, padded);
+            table = known;
         }
-        return buffer = constant_buffer(shared.context, precision, std::move(values));
+        table->form(directions);
+        return table;
     }
 
     std::vector<std::pair<double, double>> points(std::size_t a, std::size_t b) {
@@ -79,7 +168,7 @@ struct DirectionSet::Impl {
 private:
     std::mutex mutex;  // guards what follows
     std::map<std::pair<std::size_t, std::size_t>, std::vector<std::pair<double, double>>> seen, hulls;
-    std::map<std::tuple<cl_context, Precision, std::size_t>, cl::Buffer> buffers;
+    std::map<std::tuple<cl_context, Precision, std::size_t>, std::shared_ptr<ColumnTable>> tables;
 };
 
 DirectionSet::DirectionSet(std::vector<Direction> directions) : impl_(std::make_shared<Impl>(std::move(directions))) {}
@@ -117,7 +206,15 @@ struct Gear {
     cl::Kernel solve, sum, add;  // sliced only
     cl::Buffer in_buffer, scratch_buffer, out_buffer;
     cl::Buffer products_buffer, sums_buffer;  // sliced only
+
+    [[nodiscard]] std::array<cl::Buffer*, 5> buffers() {
+        return {&in_buffer, &scratch_buffer, &out_buffer, &products_buffer, &sums_buffer};
+    }
 };
+
+std::size_t bytes_of(const cl::Buffer& buffer) {
+    return buffer() != nullptr ? buffer.getInfo<CL_MEM_SIZE>() : std::size_t{0};
+}
 
 /// Another's that has ended, or a new one.
 std::shared_ptr<Gear> take_gear(Engine::Impl& shared, const cl::Program& program) {
@@ -127,22 +224,27 @@ std::shared_ptr<Gear> take_gear(Engine::Impl& shared, const cl::Program& program
         if (!spare.empty()) {
             std::shared_ptr<Gear> gear = std::static_pointer_cast<Gear>(std::move(spare.back()));
             spare.pop_back();
+            for (cl::Buffer* buffer : gear->buffers()) shared.spare_bytes -= bytes_of(*buffer);
             return gear;
         }
     }
     return std::make_shared<Gear>(shared, program);
 }
 
-/// Keeps some of what nobody needs any more, but no large buffers.
+/// Keeps some of what nobody needs any more: of large buffers, which take long to fault in, not many.
 void leave_gear(Engine::Impl& shared, std::shared_ptr<Gear> gear) {
     constexpr std::size_t kMostSpare = 16;
-    constexpr std::size_t kMostBytes = std::size_t{1} << 20;
-    for (cl::Buffer* buffer :
-         {&gear->in_buffer, &gear->scratch_buffer, &gear->out_buffer, &gear->products_buffer, &gear->sums_buffer})
-        if ((*buffer)() != nullptr && buffer->getInfo<CL_MEM_SIZE>() > kMostBytes) *buffer = {};
+    constexpr std::size_t kSmall = std::size_t{1} << 20;  // bytes
+    constexpr std::size_t kMostBytes = std::size_t{32} << 20;
     const std::lock_guard lock(shared.spare_mutex);
     auto& spare = shared.spare[gear->program()];
-    if (spare.size() < kMostSpare) spare.push_back(std::move(gear));
+    if (spare.size() >= kMostSpare) return;
+    for (cl::Buffer* buffer : gear->buffers()) {
+        const std::size_t bytes = bytes_of(*buffer);
+        if (bytes > kSmall && shared.spare_bytes + bytes > kMostBytes) *buffer = {};
+        else shared.spare_bytes += bytes;
+    }
+    spare.push_back(std::move(gear));
 }
 
 }  // namespace
@@ -162,14 +264,14 @@ struct Evaluator::Impl : Transfers {
           count(directions.directions().size()),
           padded((count + lanes - 1) / lanes * lanes),
           nonlinear(model.nonlinear().size()) {
-        columns_buffer = directions.impl().columns(shared, precision, padded);
+        columns = directions.impl().columns(shared, precision, padded);
         for (cl::Kernel* kernel : {&project, &project_value, &loss}) {
-            kernel->setArg(0, columns_buffer);
+            kernel->setArg(0, columns->buffer());
             kernel->setArg(3, static_cast<cl_int>(padded));
         }
         if (sliced) sum.setArg(3, static_cast<cl_int>(padded));
         assign(y, w);
-        terms.setArg(0, columns_buffer);
+        terms.setArg(0, columns->buffer());
         terms.setArg(1, static_cast<cl_int>(padded));
     }
 
@@ -368,7 +470,8 @@ struct Evaluator::Impl : Transfers {
     cl::Kernel &project = gear_->project, &project_value = gear_->project_value, &loss = gear_->loss,
                &terms = gear_->terms;
     cl::Kernel &solve = gear_->solve, &sum = gear_->sum, &add = gear_->add;
-    cl::Buffer columns_buffer, y_buffer, w_buffer;
+    std::shared_ptr<const ColumnTable> columns;
+    cl::Buffer y_buffer, w_buffer;
     cl::Buffer &in_buffer = gear_->in_buffer, &scratch_buffer = gear_->scratch_buffer, &out_buffer = gear_->out_buffer;
     cl::Buffer &products_buffer = gear_->products_buffer, &sums_buffer = gear_->sums_buffer;
     std::vector<double> rows, results;

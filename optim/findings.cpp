@@ -123,11 +123,11 @@ void add_evidence(const Work& work, const Weighted& weighted, const Variant* sma
     if (variant.refitter->logarithmic())
         own.emplace(variant.task, variant.prepared.bounds, Refitter::Residual::difference);
     Refitter& refitter = own ? *own : *variant.refitter;
-    variant.likeliest = refitter.best(weigh_by(variant.prepared.channel, variant.sigma), starts, kEnough);
-    std::vector<double> f = refitter.values(variant.likeliest, false).f;
-    for (double& value : f) value *= variant.prepared.unit;
-    describe_evidence(deviance(work.channel, work.noise.get().sigma, f), work.channel.samples.size(), variant.degrees(),
-                      fit);
+    const Weighted by_noise = weigh_by(variant.prepared.channel, variant.sigma);
+    const Refitter::End likeliest = refitter.best(by_noise, starts, kEnough);
+    variant.likeliest = static_cast<const Point&>(likeliest);
+    describe_evidence(deviance(work.channel, work.noise.get().sigma, likeliest.loss2, by_noise.norm),
+                      work.channel.samples.size(), variant.degrees(), fit);
 }
 
 /// Has what follows see squares in place of a robust loss: those of its pseudo-values, which have their minimum, and
@@ -265,7 +265,8 @@ void describe(const Work& work, const Variant* smaller, double robust_scale, Var
     if (work.request.submodel != nullptr) fit.submodel = work.request.submodel->name;
     if (work.unit == Unit::relative) fit.scale = optimum.scale * prepared.unit;
     variant.refitter.emplace(variant.task, prepared.bounds);
-    for (const double value : variant.refitter->values(optimum, false).f) fit.values.push_back(value * prepared.unit);
+    // With slopes, which standard errors will ask for.
+    for (const double value : variant.refitter->values(optimum, true).f) fit.values.push_back(value * prepared.unit);
     fit.loss = std::sqrt(residuals(weighted, fit.values).loss2);
     if (!std::isfinite(fit.loss)) throw SearchError("the model gave a value that is not finite");
     fit.relative_loss = weighted.norm > 0 ? fit.loss / weighted.norm : 0.0;

@@ -78,20 +78,28 @@ std::vector<Window> windows_of(const Channel& channel, double unit) {
         const kernels::Direction d = canonical(sample.direction);
         curves[{d.theta_i_deg, d.phi_deg}].emplace_back(d.theta_r_deg, sample.brdf / unit);
     }
-    std::vector<Window> windows;
+    std::size_t count = 0;
     for (auto& [key, curve] : curves) {
         std::stable_sort(curve.begin(), curve.end(), [](const auto& a, const auto& b) { return a.first < b.first; });
         // Repeated directions: the first stands for all.
         curve.erase(std::unique(curve.begin(), curve.end(),
                                 [](const auto& a, const auto& b) { return b.first - a.first < 1e-6; }),
                     curve.end());
-        for (std::size_t i = 0; i + kOrder < curve.size(); ++i)
-            windows.push_back(window_of(std::span(curve).subspan(i, kOrder + 1)));
+        if (curve.size() > kOrder) count += curve.size() - kOrder;
     }
-    if (windows.size() <= kMost) return windows;
-    std::vector<Window> some;
-    for (std::size_t i = 0; i < kMost; ++i) some.push_back(windows[i * windows.size() / kMost]);
-    return some;
+    // Of more than the most, evenly spread ones.
+    const std::size_t most = std::min(count, kMost);
+    std::vector<Window> windows;
+    windows.reserve(most);
+    std::size_t before = 0;  // of the curves before
+    for (const auto& [key, curve] : curves) {
+        if (curve.size() <= kOrder) continue;
+        const std::size_t here = curve.size() - kOrder;
+        for (std::size_t place; windows.size() < most && (place = windows.size() * count / most) < before + here;)
+            windows.push_back(window_of(std::span(curve).subspan(place - before, kOrder + 1)));
+        before += here;
+    }
+    return windows;
 }
 
 /// Variances F and R.

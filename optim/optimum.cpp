@@ -32,6 +32,11 @@ constexpr std::size_t kGlanceShare = 4;
 /// Ends of the quadratic search that the descent for another loss starts from.
 constexpr std::size_t kPolished = 6;
 
+/// From ends that a part of the samples has shown, through all of them: these are as good as there, and what cannot be
+/// the best is not followed.
+constexpr DescentGoal kThroughAllGoal{
+    .relative = 1e-11, .absolute = 1e-26, .looks = 60, .damping = 1e-4, .hopeful = 0.1};
+
 /// Searches under reweighted squares, each from the fit before.
 constexpr int kReweightings = 6;
 /// A scale of residuals that falls by less has settled.
@@ -119,6 +124,24 @@ void add_others(const SearchSpace& space, SpaceLoss& loss, SearchResult& found, 
         optimum.others.push_back(std::move(point));
     }
     optimum.ends = found.ends;
+}
+
+/// The best of ends that a part of the samples has led to, as all of them see it: on from those that may be it. At
+/// least one end.
+Minimum best_through_all(SpaceLoss& part, const std::vector<Minimum>& ends, const SearchControl& control) {
+    if (part.space().dimension() == 0) {
+        Minimum only;
+        part.whole().complete(only);
+        return only;
+    }
+    std::vector<std::vector<double>> starts;
+    for (const Minimum& end : ends) starts.push_back(end.u);
+    const Landscape landscape = [&](auto at) { return part.whole().looks_bent_by(part, at); };
+    std::vector<Minimum> found = descend_together(landscape, starts, kThroughAllGoal, control);
+    Minimum best = *std::min_element(found.begin(), found.end(),
+                                     [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
+    part.whole().complete(best);
+    return best;
 }
 
 /// What settling made of an optimum, unless the parameters themselves have too few digits for the search's point.
@@ -315,12 +338,14 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
     if (squares.y.size() > kThinAbove) {
         thin = thinned(squares, task.directions.directions(), kThinTo, task.control.seed);
         thin_directions.emplace(thin->directions);
-        stages.push_back(loss_of(quick, accuracy, *thin_directions, thin->data));
     }
-    StepScan scan(task.model, thin_directions ? *thin_directions : task.directions, thin ? thin->data : squares);
-    if (coarse) stages.push_back(loss_of(quick, accuracy, task.directions, squares));
-    stages.push_back(loss_of(precision, kernels::Accuracy::full, task.directions, squares));
+    const kernels::DirectionSet& directions = thin ? *thin_directions : task.directions;
+    const Weighted& data = thin ? thin->data : squares;
+    StepScan scan(task.model, directions, data);
+    if (coarse) stages.push_back(loss_of(quick, accuracy, directions, data));
+    stages.push_back(loss_of(precision, kernels::Accuracy::full, directions, data));
     SpaceLoss& exact = *stages.back();
+    if (thin) exact.stand_for(*loss_of(precision, kernels::Accuracy::full, task.directions, squares));
     // Of logarithms the search under squares makes starts, and what is best for squares alone is none.
     const bool only_starts = task.weighted.logarithmic;
     if (const std::size_t seen = stages.front()->samples();
@@ -333,6 +358,13 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
     if (smaller != nullptr) seeds.push_back(space.coordinates(smaller->parameters, smaller->scale));
     SearchResult found = search_space(stages, budget(effort, space.dimension(), task.model.repeats), task.control,
                                       seeds, only_starts ? nullptr : &scan);
+    if (thin) {
+        std::vector<Minimum> seen = std::move(found.last);
+        if (smaller != nullptr) seen.push_back({seeds.back(), {}, 0, StopReason::converged});
+        found.best = best_through_all(exact, seen, task.control);
+        found.record.evaluations += exact.whole().evaluations();
+        found.record.stop_reason = found.best.stop;
+    }
     found.best.loss2 /= scale2;
     Separable result{optimum_at(task, space, found.best, found.record), {}};
     add_others(space, exact, found, result.optimum);

@@ -1,6 +1,7 @@
 #include "optim/refit.h"
 
 #include <algorithm>
+#include <optional>
 
 #include "optim/descent.h"
 #include "optim/space_loss.h"
@@ -28,12 +29,14 @@ Refitter::End Refitter::best(const Weighted& weighted, std::span<const Point> st
     const kernels::DirectionSet directions(few.directions);
     kernels::Evaluator evaluator(task_.engine, task_.model, task_.engine.best_precision(), directions, {}, {});
     const Point best = descend(evaluator, few.data, starts, relative, kHopeful).front();
-    return descend(evaluator_, weighted, {&best, 1}, relative, 0).front();
+    return descend(evaluator_, weighted, {&best, 1}, relative, 0, &evaluator).front();
 }
 
 std::vector<Refitter::End> Refitter::descend(kernels::Evaluator& evaluator, const Weighted& weighted,
-                                             std::span<const Point> starts, double relative, double hopeful) {
+                                             std::span<const Point> starts, double relative, double hopeful,
+                                             kernels::Evaluator* part) {
     constexpr int kMostLooks = 40;
+    constexpr double kLittle = 1e-4;  // of damping, where the curvature is Newton's
     const Weighted data = logarithmic_ ? weighted : balanced(weighted);
     const double norm2 = data.norm > 0 && !logarithmic_ ? data.norm * data.norm : 1.0;
     const double unit2 = data.norm > 0 && !logarithmic_ ? weighted.norm * weighted.norm / norm2 : 1.0;
@@ -45,8 +48,11 @@ std::vector<Refitter::End> Refitter::descend(kernels::Evaluator& evaluator, cons
     } else {
         std::vector<std::vector<double>> from;
         for (const Point& start : starts) from.push_back(space_.coordinates(start.parameters, start.scale));
-        const Landscape landscape = [&](auto at) { return loss.looks(at); };
-        const DescentGoal goal{.relative = relative, .absolute = 1e-26, .looks = kMostLooks, .hopeful = hopeful};
+        std::optional<SpaceLoss> bends;
+        if (part != nullptr) bends.emplace(*part, space_, norm2);
+        const Landscape landscape = [&](auto at) { return bends ? loss.looks_bent_by(*bends, at) : loss.looks(at); };
+        DescentGoal goal{.relative = relative, .absolute = 1e-26, .looks = kMostLooks, .hopeful = hopeful};
+        if (bends) goal.damping = kLittle;
         ends = descend_together(landscape, from, goal, task_.control);
     }
     std::vector<End> result;
@@ -62,10 +68,14 @@ std::vector<Refitter::End> Refitter::descend(kernels::Evaluator& evaluator, cons
     return result;
 }
 
-kernels::Values Refitter::values(const Point& point, bool gradient) {
-    kernels::Values values = evaluator_.values(point.parameters, gradient);
+const kernels::Values& Refitter::values(const Point& point, bool gradient) {
+    if (known_ && known_->parameters == point.parameters && known_->scale == point.scale) return with_gradient_;
+    kernels::Values& values = gradient ? with_gradient_ : without_;
+    if (gradient) known_.reset();
+    values = evaluator_.values(point.parameters, gradient);
     for (double& f : values.f) f *= point.scale;
     for (double& slope : values.by_parameter) slope *= point.scale;
+    if (gradient) known_ = point;
     return values;
 }
 

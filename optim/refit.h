@@ -1,6 +1,7 @@
 /// A model fitted again from known points, as data or weights change.
 #pragma once
 
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -26,22 +27,27 @@ public:
     std::vector<End> descend(const Weighted& weighted, std::span<const Point> starts, double relative);
     /// The best of those ends alone: a descent that cannot be it is not followed to its own.
     End best(const Weighted& weighted, std::span<const Point> starts, double relative);
-    /// scale f at each sample, with the unit of the task's channel; on request by each parameter as well.
-    kernels::Values values(const Point& point, bool gradient);
-    /// The evaluator, with the data of the last descent.
+    /// scale f at each sample, with the unit of the task's channel; on request by each parameter as well. Valid until
+    /// the next call.
+    const kernels::Values& values(const Point& point, bool gradient);
+    /// The evaluator, with the data of the last descent or what a caller has assigned since: descents assign their own.
     [[nodiscard]] kernels::Evaluator& evaluator() { return evaluator_; }
     [[nodiscard]] bool logarithmic() const { return logarithmic_; }
     [[nodiscard]] std::size_t evaluations() const { return evaluations_; }
 
 private:
+    /// part: with fewer samples of the same data, to tell the curvature of squares by; may be nullptr.
     std::vector<End> descend(kernels::Evaluator& evaluator, const Weighted& weighted, std::span<const Point> starts,
-                             double relative, double hopeful);
+                             double relative, double hopeful, kernels::Evaluator* part = nullptr);
 
     const Task& task_;
     bool logarithmic_;
     SearchSpace space_;
     kernels::Evaluator evaluator_;
     std::size_t evaluations_ = 0;
+    std::optional<Point> known_;  ///< of the next
+    kernels::Values with_gradient_;
+    kernels::Values without_;
 };
 
 }  // namespace brdfit::optim

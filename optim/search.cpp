@@ -311,7 +311,7 @@ private:
         std::size_t evaluations = 0;
         for (const SpaceLoss* stage : stages_) evaluations += stage->evaluations();
         evaluations -= extra_;
-        const std::vector<double> values = exact_.screen(found, control_);
+        const std::vector<double> values = exact_.whole().screen(found, control_);
         result_.record.milestones.push_back({milestone, *std::min_element(values.begin(), values.end()), evaluations});
         extra_ += found.size();
     }
@@ -429,10 +429,9 @@ private:
 
     /// On through the further stages, from the best ends of the one before.
     void polish() {
-        std::size_t samples = quick_.samples();
         for (SpaceLoss* const stage : stages_.last(std::max<std::size_t>(1, stages_.size() - 1))) {
-            const Polish polish = stage->samples() == samples ? kSameSamples : kOtherSamples;
-            samples = stage->samples();
+            // Others will judge where the last stage sees a part of the samples.
+            const Polish polish = exact_.whole().samples() == stage->samples() ? kSameSamples : kOtherSamples;
             const std::vector<Minimum> best = distinct_ends(ends_, 1e-2);
             std::vector<std::vector<double>> from;
             for (const Minimum& end : best)
@@ -449,6 +448,7 @@ private:
             sort_ends();
         }
         result_.best = ends_.front();
+        result_.last = ends_;
     }
 
     /// Seeds, which a coarse stage may have passed over.
@@ -459,6 +459,7 @@ private:
         ends_.clear();
         descend_from(exact_, {seeds[static_cast<std::size_t>(least - values.begin())]});
         result_.best = ends_.front();
+        result_.last.insert(result_.last.begin(), result_.best);
     }
 
     std::span<SpaceLoss* const> stages_;

@@ -70,6 +70,7 @@ struct SearchResult {
     Minimum best;
     SearchRecord record;          ///< without the time
     std::vector<Minimum> minima;  ///< distinct ends of descents, best first; not completed
+    std::vector<Minimum> last;    ///< ends of the last stage's descents, best first; not completed
     std::vector<double> ends;     ///< loss^2 of all descents of the search, rising; as `minima`, of the first stage
 };
 
@@ -90,7 +91,8 @@ std::vector<std::vector<double>> best_distinct(const std::vector<std::vector<dou
 std::vector<Minimum> distinct_ends(const std::vector<Minimum>& ends, double close);
 
 /// Minimises over a space. `stages` are losses of that space in rising order of cost and trust, at least one: the first
-/// is searched, each further one goes on from the best ends of the one before, the last decides. `seeds` descend
+/// is searched, each further one goes on from the best ends of the one before, the last decides, or leaves that to the
+/// loss it stands for (SearchResult::last). `seeds` descend
 /// always: the result is no worse than any seed as the first stage sees it. `scan`, of the first stage's data and only
 /// with Unknowns::nonlinear: lobes are tried as steps; may be nullptr. Throws what they throw.
 SearchResult search_space(std::span<SpaceLoss* const> stages, const SearchBudget& budget, const SearchControl& control,

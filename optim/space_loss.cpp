@@ -6,7 +6,10 @@
 #include <numeric>
 #include <utility>
 
+#include <Eigen/Cholesky>
+
 #include "optim/robust.h"
+#include "optim/thinned.h"
 
 namespace brdfit::optim {
 
@@ -28,17 +31,39 @@ void SpaceLoss::evaluate(std::span<const std::vector<double>> points, bool gradi
     evaluations_ += points.size();
 }
 
-double SpaceLoss::operator()(std::span<const double> u, std::span<double> gradient) {
-    const std::vector<double> point(u.begin(), u.end());
-    evaluate({&point, 1}, !gradient.empty());
-    if (!gradient.empty()) {
-        space_.gradient(u, candidates_[0], batch_.coefficients, batch_.by_parameter, batch_.by_coefficient, gradient);
-        for (double& g : gradient) g /= scale2_;
+bool SpaceLoss::is_dear() const { return evaluator_.samples() > kThinAbove; }
+
+SpaceLoss::Known SpaceLoss::at(std::span<const double> u, bool gradient) {
+    for (const Known& known : known_)
+        if (std::equal(u.begin(), u.end(), known.u.begin(), known.u.end())) return known;
+    const bool kept = is_dear();
+    Known known{{u.begin(), u.end()}, {}, 0, {}};
+    evaluate({&known.u, 1}, gradient || kept);
+    if (gradient || kept) {
+        known.gradient.resize(space_.dimension());
+        space_.gradient(u, candidates_[0], batch_.coefficients, batch_.by_parameter, batch_.by_coefficient,
+                        known.gradient);
+        for (double& g : known.gradient) g /= scale2_;
         // Near underflow the slope of a logarithm overflows; at underflow there is none.
-        for (double& slope : gradient)
+        for (double& slope : known.gradient)
             if (logarithmic() && !std::isfinite(slope)) slope = 0;
     }
-    return batch_.loss[0] / scale2_;
+    known.value = batch_.loss[0] / scale2_;
+    known.coefficients = batch_.coefficients;
+    if (kept) keep(known);
+    return known;
+}
+
+void SpaceLoss::keep(Known known) {
+    constexpr std::size_t kMost = 8;
+    if (known_.size() == kMost) known_.erase(known_.begin());
+    known_.push_back(std::move(known));
+}
+
+double SpaceLoss::operator()(std::span<const double> u, std::span<double> gradient) {
+    const Known known = at(u, !gradient.empty());
+    if (!gradient.empty()) std::copy(known.gradient.begin(), known.gradient.end(), gradient.begin());
+    return known.value;
 }
 
 std::vector<Look> SpaceLoss::looks(std::span<const std::vector<double>> points) {
@@ -93,6 +118,44 @@ std::vector<Look> SpaceLoss::looks(std::span<const std::vector<double>> points) 
             for (std::size_t j = 0; j < d; ++j)
                 if (const double slope = 2 / scale2_ * jacobian_[row * d + j]; slope != 0)
                     for (std::size_t k = 0; k < d; ++k) look.curvature[j * d + k] += slope * bent_[k * unknowns + row];
+        if (is_dear() && !logarithmic()) keep({points[i], look.gradient, look.value, {c.begin(), c.end()}});
+    }
+    return result;
+}
+
+std::vector<Look> SpaceLoss::looks_bent_by(SpaceLoss& part, std::span<const std::vector<double>> points) {
+    using Matrix = Eigen::MatrixXd;
+    constexpr double kStep = 1e-4;  // of the cube, on either side
+    std::vector<Look> result = looks(points);
+    const std::size_t d = space_.dimension();
+    const auto n = static_cast<Eigen::Index>(d);
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        std::vector<std::vector<double>> about{points[i]};
+        for (std::size_t j = 0; j < d; ++j)
+            for (const double side : {-1.0, 1.0}) {
+                about.push_back(points[i]);
+                about.back()[j] = std::clamp(points[i][j] + side * kStep, 0.0, 1.0);
+            }
+        const std::vector<Look> seen = part.looks(about);
+        Matrix bend(n, n);
+        for (std::size_t j = 0; j < d; ++j) {
+            const Look& below = seen[1 + 2 * j];
+            const Look& above = seen[2 + 2 * j];
+            const double width = about[2 + 2 * j][j] - about[1 + 2 * j][j];
+            const auto column = static_cast<Eigen::Index>(j);
+            for (Eigen::Index k = 0; k < n; ++k) {
+                const auto at = static_cast<std::size_t>(k);
+                bend(k, column) = (above.gradient[at] - below.gradient[at]) / width;
+            }
+        }
+        Eigen::Map<Matrix> curvature(result[i].curvature.data(), n, n);
+        const Matrix whole =
+            curvature + (bend + bend.transpose()) / 2 - Eigen::Map<const Matrix>(seen[0].curvature.data(), n, n);
+        const double largest = whole.diagonal().maxCoeff();
+        if (!whole.allFinite() || !(whole.diagonal().minCoeff() > 1e-9 * largest)) continue;
+        const Eigen::VectorXd unit = whole.diagonal().cwiseSqrt().cwiseInverse();
+        if (Eigen::LLT<Matrix>(unit.asDiagonal() * whole * unit.asDiagonal()).info() == Eigen::Success)
+            curvature = whole;
     }
     return result;
 }
@@ -132,8 +195,9 @@ std::vector<double> SpaceLoss::screen_roughly(const std::vector<std::vector<doub
 }
 
 void SpaceLoss::complete(Minimum& minimum) {
-    minimum.loss2 = (*this)(minimum.u, {}) * scale2_;
-    minimum.coefficients = batch_.coefficients;
+    Known known = at(minimum.u, false);
+    minimum.loss2 = known.value * scale2_;
+    minimum.coefficients = std::move(known.coefficients);
 }
 
 }  // namespace brdfit::optim

@@ -28,10 +28,17 @@ public:
     /// Values at many points, in launches small enough to look at the clock between them; points left when time runs
     /// out have the largest value.
     std::vector<double> screen(const std::vector<std::vector<double>>& points, const SearchControl& control);
+    /// The same with Newton's curvature in place of Gauss and Newton's: what large residuals add is told by `part`, a
+    /// loss of the same space and unit through fewer samples, by differences of its gradients. Left out where the sum
+    /// would not be positive definite.
+    std::vector<Look> looks_bent_by(SpaceLoss& part, std::span<const std::vector<double>> points);
     /// Has screen_roughly() look through fewer samples first, by a loss of the same space that must outlive this.
     void glance_through(SpaceLoss& fewer) { fewer_ = &fewer; }
-    /// The same of points of which `wanted` shall be chosen: those that fewer samples tell to be poor have the largest
-    /// value.
+    /// This is seen through a part of the samples, which stands for a loss of the same space that must outlive this.
+    void stand_for(SpaceLoss& whole) { whole_ = &whole; }
+    [[nodiscard]] SpaceLoss& whole() { return whole_ != nullptr ? *whole_ : *this; }
+    /// Values at points of which `wanted` shall be chosen: as screen(), but those that fewer samples tell to be poor
+    /// have the largest value.
     std::vector<double> screen_roughly(const std::vector<std::vector<double>>& points, std::size_t wanted,
                                        const SearchControl& control);
     /// Fills in the loss, not divided, and the coefficients at minimum.u.
@@ -51,6 +58,19 @@ public:
 
 private:
     [[nodiscard]] bool logarithmic() const { return form_ != nullptr && form_->logarithmic; }
+    /// What is known of a point.
+    struct Known {
+        std::vector<double> u;
+        std::vector<double> gradient;
+        double value = 0;
+        std::vector<double> coefficients;
+    };
+    /// Its gradient may be empty unless it is asked for.
+    Known at(std::span<const double> u, bool gradient);
+    /// An evaluation sees so many samples that the last ones are kept, with their gradients: searches come back to
+    /// them.
+    [[nodiscard]] bool is_dear() const;
+    void keep(Known known);
     /// Evaluates points into batch_ and candidates_.
     void evaluate(std::span<const std::vector<double>> points, bool gradient);
 
@@ -62,7 +82,9 @@ private:
     std::vector<double> parameters_, lower_, upper_;
     kernels::Batch batch_;
     std::vector<double> normal_, jacobian_, bent_;  ///< of one look
+    std::vector<Known> known_;                      ///< the last ones, the latest at the end
     SpaceLoss* fewer_ = nullptr;
+    SpaceLoss* whole_ = nullptr;
     std::size_t evaluations_ = 0;
 };
 

@@ -115,19 +115,16 @@ Weighted weigh_by(const Channel& channel, std::span<const double> sigma) {
     return result;
 }
 
-double deviance(const Channel& channel, std::span<const double> sigma, std::span<const double> f) {
+double deviance(const Channel& channel, std::span<const double> sigma, double chi2, double norm) {
     double n = 0;
-    double z2 = 0;
     double sizes = 0;
     for (std::size_t j = 0; j < sigma.size(); ++j) {
-        const double y = channel.samples[j].brdf;
-        const double z = std::hypot(f[j] - y, kRounding * y) / sigma[j];
         const double weight = channel.samples[j].weight;
         n += weight;
-        z2 += weight * z * z;
         sizes += weight * 2 * std::log(sigma[j]);
     }
-    return n * std::log(2 * std::numbers::pi * std::max(z2 / n, std::numeric_limits<double>::min())) + sizes + n;
+    const double held = chi2 + kRounding * kRounding * norm * norm;
+    return n * std::log(2 * std::numbers::pi * std::max(held / n, std::numeric_limits<double>::min())) + sizes + n;
 }
 
 double deviance(const Weighted& weighted, double loss) {

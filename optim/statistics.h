@@ -35,8 +35,9 @@ HeldOut held_out_errors(const Channel& channel, const Weighted& weighted, std::s
 Weighted weigh_by(const Channel& channel, std::span<const double> sigma);
 
 /// -2 ln L of n independent Gaussian errors of sizes s sigma_j, s being the most likely: n ln(2 pi s^2) +
-/// sum ln sigma_j^2 + n with s^2 = sum ((f - y)/sigma)^2/n. Residuals below 1e-14 of the values count as that.
-double deviance(const Channel& channel, std::span<const double> sigma, std::span<const double> f);
+/// sum ln sigma_j^2 + n with s^2 = chi2/n. chi2: sum ((f - y)/sigma)^2; norm: its root for f = 0. Residuals count as
+/// 1e-14 of the values at least.
+double deviance(const Channel& channel, std::span<const double> sigma, double chi2, double norm);
 /// The same of a loss alone, without the sizes: n ln loss^2, of the samples that have a weight.
 double deviance(const Weighted& weighted, double loss);
 

@@ -28,11 +28,12 @@ std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
 class Sandwich {
 public:
-    Sandwich(const Estimate& estimate, Refitter& refitter) : estimate_(estimate), refitter_(refitter) {
+    Sandwich(const Estimate& estimate, Refitter& refitter)
+        : estimate_(estimate), refitter_(refitter), values_(refitter.values(estimate.point, true)) {
         const Task& task = estimate.task;
-        values_ = refitter.values(estimate.point, true);
         residuals_ = residuals(task.weighted, values_.f);
         n_ = static_cast<Index>(values_.f.size());
+        root_ = root_weights(task.weighted, residuals_);
     }
 
     Uncertainty uncertainty(std::span<const double> units) {
@@ -138,18 +139,19 @@ private:
         const double* row = values_.by_parameter.data() + *c.parameter * at(n_);
         if (c.own != Own::square || c.p > 0) return c.slope(c.p) * Eigen::Map<const VectorXd>(row, n_);
         // Of an even function at 0: the slope by the square, from a little beside it.
-        Point beside = estimate_.point;
+        std::vector<double> beside = estimate_.point.parameters;
         const double step = 1e-3;
-        beside.parameters[*c.parameter] = step;
-        const kernels::Values there = refitter_.values(beside, true);
-        return 0.5 / step * Eigen::Map<const VectorXd>(there.by_parameter.data() + *c.parameter * at(n_), n_);
+        beside[*c.parameter] = step;
+        const kernels::Values there = refitter_.evaluator().values(beside, true);
+        return 0.5 / step * estimate_.point.scale *
+               Eigen::Map<const VectorXd>(there.by_parameter.data() + *c.parameter * at(n_), n_);
     }
 
     /// Root of the weights, with the slope of the residual.
-    [[nodiscard]] VectorXd root_weights() const {
-        VectorXd root(n_);
-        for (Index j = 0; j < n_; ++j)
-            root(j) = std::sqrt(estimate_.task.weighted.weight[at(j)]) * residuals_.by_f[at(j)];
+    [[nodiscard]] static VectorXd root_weights(const Weighted& weighted, const Residuals& residuals) {
+        VectorXd root(static_cast<Index>(weighted.weight.size()));
+        for (std::size_t j = 0; j < weighted.weight.size(); ++j)
+            root(static_cast<Index>(j)) = std::sqrt(weighted.weight[j]) * residuals.by_f[j];
         return root;
     }
 
@@ -158,7 +160,7 @@ private:
         const kernels::Parameter& declared = estimate_.task.model.parameters[*c.parameter];
         const double reach = c.own == Own::logarithm ? c.p : std::max(declared.max - declared.min, std::abs(c.p));
         const double* row = values_.by_parameter.data() + *c.parameter * at(n_);
-        const double effect = root_weights().cwiseProduct(Eigen::Map<const VectorXd>(row, n_)).norm();
+        const double effect = root_.cwiseProduct(Eigen::Map<const VectorXd>(row, n_)).norm();
         const double size = std::max(estimate_.task.weighted.norm, std::sqrt(residuals_.loss2));
         return effect * reach > kUnseen * size;
     }
@@ -171,47 +173,60 @@ private:
         return result;
     }
 
-    /// The standard deviation of each sample's pull: its difference by y, where that is known, else its own size.
-    [[nodiscard]] VectorXd spreads(const MatrixXd& rows, const MatrixXd& a_inverse) const {
+    /// The standard deviation of each sample's pull: its slope by y, where the data's is known, else its own size.
+    [[nodiscard]] VectorXd spreads(const MatrixXd& a_inverse) const {
         const Task& task = estimate_.task;
         if (estimate_.sigma.empty()) {
             VectorXd result = pulls(task.weighted, residuals_);
             for (Index j = 0; j < n_; ++j) {  // HC3: a sample that draws the fit near looks better than it is
-                const double leverage = rows.cols() == 0 ? 0.0 : rows.row(j).dot(a_inverse * rows.row(j).transpose());
+                const double leverage =
+                    count() == 0 ? 0.0
+                                 : root_(j) * root_(j) * slopes_.row(j).dot(a_inverse * slopes_.row(j).transpose());
                 result(j) /= std::max(1 - leverage, 0.05);
             }
             return result;
         }
-        constexpr double kStep = 1e-3;  // of sigma
-        std::array<VectorXd, 2> ends;
-        for (const std::size_t side : {0U, 1U}) {
-            Channel channel = task.channel;
-            for (std::size_t j = 0; j < channel.samples.size(); ++j)
-                channel.samples[j].brdf += (side == 0 ? -kStep : kStep) * estimate_.sigma[j];
-            const Weighted weighted = weigh(channel, estimate_.loss);
-            ends[side] = pulls(weighted, residuals(weighted, values_.f));
+        VectorXd result(n_);
+        for (Index j = 0; j < n_; ++j) {
+            const double y = task.channel.samples[at(j)].brdf;
+            const double weight = task.weighted.weight[at(j)];
+            double by_y = -weight * residuals_.by_f[at(j)];
+            if (weight > 0 && estimate_.loss.kind == Loss::log) by_y /= y;
+            if (weight > 0 && estimate_.loss.kind == Loss::relative) by_y *= 2 * values_.f[at(j)] / y - 1;
+            result(j) = by_y * estimate_.sigma[at(j)];
         }
-        return (ends[1] - ends[0]) / (2 * kStep);
+        return result;
+    }
+
+    /// The slopes' weighted products: sum over samples of weights^2 slope slope'.
+    static MatrixXd products(const MatrixXd& slopes, const VectorXd& weights) {
+        constexpr Index kBlock = 256;
+        MatrixXd sum = MatrixXd::Zero(slopes.cols(), slopes.cols());
+        MatrixXd block;
+        for (Index first = 0; first < slopes.rows(); first += kBlock) {
+            const Index size = std::min(kBlock, slopes.rows() - first);
+            block.noalias() = weights.segment(first, size).asDiagonal() * slopes.middleRows(first, size);
+            sum.noalias() += block.transpose() * block;
+        }
+        return sum;
     }
 
     void solve() {
         const Index p = count();
-        MatrixXd slopes(n_, p);  // d scale f/d z
-        for (Index i = 0; i < p; ++i) slopes.col(i) = column(coordinates_[at(i)]);
-        const VectorXd root = root_weights();
-        MatrixXd rows = root.asDiagonal() * slopes;
-        unit_ = rows.colwise().norm().cwiseInverse();
-        rows *= unit_.asDiagonal();
+        slopes_.resize(n_, p);  // d scale f/d z
+        for (Index i = 0; i < p; ++i) slopes_.col(i) = column(coordinates_[at(i)]);
+        const MatrixXd a = products(slopes_, root_);
+        unit_ = a.diagonal().cwiseSqrt().cwiseInverse();
         cov_ = MatrixXd::Constant(p, p, NAN);
         determined_.assign(at(p), true);
         if (p == 0) {  // all are fixed or at bounds
-            slopes_ = slopes;
             a_inverse_ = MatrixXd(0, 0);
-            spreads_ = spreads(rows, a_inverse_);
+            spreads_ = spreads(a_inverse_);
             return;
         }
-        if (!rows.allFinite()) return;
-        const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(rows.transpose() * rows);
+        const MatrixXd scaled = unit_.asDiagonal() * a * unit_.asDiagonal();
+        if (!scaled.allFinite()) return;
+        const Eigen::SelfAdjointEigenSolver<MatrixXd> eigen(scaled);
         std::vector<Index> kept;
         for (Index e = 0; e < p; ++e) {
             if (eigen.eigenvalues()(e) > kUndetermined) {
@@ -224,14 +239,13 @@ private:
         }
         const MatrixXd v = eigen.eigenvectors()(Eigen::all, kept);
         const VectorXd lambda = eigen.eigenvalues()(kept);
-        const MatrixXd a_inverse = v * lambda.cwiseInverse().asDiagonal() * v.transpose();
-        spreads_ = spreads(rows, a_inverse);
-        const MatrixXd scaled = spreads_.asDiagonal() * slopes * unit_.asDiagonal() * v;
-        const MatrixXd b = scaled.transpose() * scaled;
+        const MatrixXd directions = unit_.asDiagonal() * v;
+        a_inverse_ = directions * lambda.cwiseInverse().asDiagonal() * directions.transpose();
+        spreads_ = spreads(a_inverse_);
+        const MatrixXd b = directions.transpose() * products(slopes_, spreads_) * directions;
         // The curvature in units of Gauss and Newton's, so that it is 1 where there is no misfit.
         const VectorXd white = lambda.cwiseSqrt().cwiseInverse();
         const VectorXd errors = b.diagonal().cwiseSqrt().cwiseQuotient(lambda);
-        const MatrixXd directions = unit_.asDiagonal() * v;
         const Eigen::SelfAdjointEigenSolver<MatrixXd> bend(MatrixXd::Identity(white.size(), white.size()) +
                                                            misfit_curvature(directions, errors, white));
         constexpr double kLeast = 0.05;  // less is a kink, or no minimum
@@ -240,12 +254,10 @@ private:
         const MatrixXd h_inverse = white.asDiagonal() * bend.eigenvectors() * inverse.asDiagonal() *
                                    bend.eigenvectors().transpose() * white.asDiagonal();
         cov_ = directions * h_inverse * b * h_inverse * directions.transpose();
-        influences_ = scaled * h_inverse * directions.transpose();
+        by_slopes_ = directions * h_inverse * directions.transpose();
         const MatrixXd back = unit_.cwiseInverse().asDiagonal() * v * lambda.cwiseSqrt().asDiagonal();
         const VectorXd more = bent.array() - 1;
         misfit_ = back * bend.eigenvectors() * more.asDiagonal() * bend.eigenvectors().transpose() * back.transpose();
-        slopes_ = std::move(slopes);
-        a_inverse_ = unit_.asDiagonal() * a_inverse * unit_.asDiagonal();
     }
 
     /// From 0 to 1: whether residuals are larger than noise makes them, by 2 standard deviations of their weighted sum
@@ -267,25 +279,23 @@ private:
     }
 
     /// What misfit adds to half the loss's curvature, in units of Gauss and Newton's: from gradients at either side of
-    /// the point along each direction.
+    /// the point along each direction, all in one launch.
     MatrixXd misfit_curvature(const MatrixXd& directions, const VectorXd& errors, const VectorXd& white) {
         const Index m = directions.cols();
         const double share = misfit();
         if (share == 0) return MatrixXd::Zero(m, m);
-        const MatrixXd to = directions * white.asDiagonal();
-        MatrixXd h(m, m);
+        std::vector<VectorXd> steps;
+        VectorXd per(m);
         for (Index e = 0; e < m; ++e) {
             const double step = length(directions.col(e), errors(e));
-            std::array<VectorXd, 2> gradients;
-            for (const std::size_t side : {0U, 1U}) {
-                MatrixXd by_z;
-                const kernels::Values there = stepped((side == 0 ? -step : step) * directions.col(e), by_z);
-                const Weighted& weighted = estimate_.task.weighted;
-                gradients[side] = to.transpose() * (by_z.transpose() * pulls(weighted, residuals(weighted, there.f)));
-            }
-            const double per = white(e) / (2 * step);
-            h.col(e) = per * (gradients[1] - gradients[0]);
+            for (const double side : {-step, step}) steps.emplace_back(side * directions.col(e));
+            per(e) = white(e) / (2 * step);
         }
+        const MatrixXd gradients = half_gradients(steps);
+        const MatrixXd to = directions * white.asDiagonal();
+        MatrixXd h(m, m);
+        for (Index e = 0; e < m; ++e)
+            h.col(e) = per(e) * (to.transpose() * (gradients.col(2 * e + 1) - gradients.col(2 * e)));
         const MatrixXd bend = (h + h.transpose()) / 2 - MatrixXd::Identity(m, m);
         return bend.allFinite() ? MatrixXd(share * bend) : MatrixXd::Zero(m, m);
     }
@@ -309,31 +319,53 @@ private:
         return length;
     }
 
-    /// The unknowns a step away, none beyond its bounds, and the model there with its slopes by z.
-    kernels::Values stepped(const VectorXd& step, MatrixXd& by_z) const {
-        Point point = estimate_.point;
-        std::vector<double> unknowns;
-        for (Index i = 0; i < count(); ++i) {
-            const Coordinate& c = coordinates_[at(i)];
-            double value = c.value(c.z(c.p) + step(i));
-            if (c.parameter) {
-                const Interval& bounds = estimate_.bounds[*c.parameter];
-                value = std::clamp(value, bounds.min, bounds.max);
+    /// Half the loss's gradient by the unknowns' z, a column for each step away from the point, none beyond the bounds.
+    [[nodiscard]] MatrixXd half_gradients(const std::vector<VectorXd>& steps) const {
+        const Task& task = estimate_.task;
+        const std::size_t p = task.model.parameters.size();
+        const std::size_t t = task.model.terms.size();
+        std::vector<double> parameters, coefficients;
+        std::vector<Point> points;
+        MatrixXd slopes(count(), static_cast<Index>(steps.size()));  // of each unknown by its z
+        for (const VectorXd& step : steps) {
+            Point point = estimate_.point;
+            for (Index i = 0; i < count(); ++i) {
+                const Coordinate& c = coordinates_[at(i)];
+                double value = c.value(c.z(c.p) + step(i));
+                if (c.parameter) {
+                    const Interval& bounds = estimate_.bounds[*c.parameter];
+                    value = std::clamp(value, bounds.min, bounds.max);
+                }
+                slopes(i, static_cast<Index>(points.size())) = !c.parameter                         ? 1.0
+                                                               : value == 0 && c.own == Own::square ? 0.0
+                                                                                                    : c.slope(value);
+                (c.parameter ? point.parameters[*c.parameter] : point.scale) = value;
             }
-            unknowns.push_back(value);
-            (c.parameter ? point.parameters[*c.parameter] : point.scale) = value;
+            parameters.insert(parameters.end(), point.parameters.begin(), point.parameters.end());
+            for (const double c : task.model.coefficients(point.parameters)) coefficients.push_back(point.scale * c);
+            points.push_back(std::move(point));
         }
-        kernels::Values there = refitter_.values(point, true);
-        by_z.resize(n_, count());
-        for (Index i = 0; i < count(); ++i) {
-            const Coordinate& c = coordinates_[at(i)];
-            const double* row = c.parameter ? there.by_parameter.data() + *c.parameter * at(n_) : there.f.data();
-            const double slope = !c.parameter                                   ? 1.0
-                                 : unknowns[at(i)] == 0 && c.own == Own::square ? 0.0
-                                                                                : c.slope(unknowns[at(i)]);
-            by_z.col(i) = slope * Eigen::Map<const VectorXd>(row, n_);
+        kernels::Batch batch;
+        refitter_.evaluator().assign(task.weighted.y, task.weighted.weight);
+        refitter_.evaluator().loss(parameters, coefficients, task.weighted.logarithmic, batch);
+        MatrixXd result(count(), static_cast<Index>(steps.size()));
+        for (std::size_t k = 0; k < points.size(); ++k) {
+            const double* const by_coefficient = batch.by_coefficient.data() + k * t;
+            std::vector<double> by_parameter(batch.by_parameter.begin() + static_cast<std::ptrdiff_t>(k * p),
+                                             batch.by_parameter.begin() + static_cast<std::ptrdiff_t>((k + 1) * p));
+            double by_scale = 0;
+            for (std::size_t term = 0; term < t; ++term) {
+                by_scale += by_coefficient[term] * coefficients[k * t + term] / points[k].scale;
+                if (const auto& factor = task.model.terms[term].factor)
+                    by_parameter[*factor] += points[k].scale * by_coefficient[term];
+            }
+            for (Index i = 0; i < count(); ++i) {
+                const Coordinate& c = coordinates_[at(i)];
+                const double slope = c.parameter ? by_parameter[*c.parameter] : by_scale;
+                result(i, static_cast<Index>(k)) = slopes(i, static_cast<Index>(k)) * slope / 2;
+            }
         }
-        return there;
+        return result;
     }
 
     /// Degrees of freedom of the noise, taken as a whole.
@@ -343,13 +375,13 @@ private:
     }
     /// The same as an unknown sees it.
     [[nodiscard]] double degrees_of(Index i) const {
-        if (estimate_.sigma.empty() || !estimate_.noise.record.floor || influences_.size() == 0)
-            return degrees_of_all();
+        if (estimate_.sigma.empty() || !estimate_.noise.record.floor || by_slopes_.size() == 0) return degrees_of_all();
+        const VectorXd influences = spreads_.cwiseProduct(slopes_ * by_slopes_.col(i));
         const double floor = *estimate_.noise.record.floor;
         double part = 0;
         double whole = 0;
         for (Index j = 0; j < n_; ++j) {
-            const double variance = influences_(j, i) * influences_(j, i);
+            const double variance = influences(j) * influences(j);
             whole += variance;
             part += variance * std::min(std::pow(floor / estimate_.noise.sigma[at(j)], 2), 1.0);
         }
@@ -360,7 +392,7 @@ private:
     [[nodiscard]] std::optional<std::array<double, 2>> one_sided(const Coordinate& c, double t) const {
         const Interval& bounds = estimate_.bounds[*c.parameter];
         const VectorXd own = column(c);
-        const VectorXd root2 = root_weights().cwiseAbs2();
+        const VectorXd root2 = root_.cwiseAbs2();
         VectorXd rest = own;  // less what the others can make up for
         if (count() > 0) rest -= slopes_ * (a_inverse_ * (slopes_.transpose() * root2.cwiseProduct(own)));
         const double curvature = root2.dot(own.cwiseProduct(rest));
@@ -447,16 +479,17 @@ private:
 
     const Estimate& estimate_;
     Refitter& refitter_;
-    kernels::Values values_;
+    const kernels::Values& values_;  ///< the refitter's, until it is asked for others: profiles do so
     Residuals residuals_;
     Index n_ = 0;
     std::vector<Coordinate> coordinates_;
     std::vector<bool> determined_;
     std::vector<VectorXd> null_;
+    VectorXd root_;  ///< of the weights
     VectorXd unit_, spreads_;
     MatrixXd slopes_, a_inverse_, cov_;
-    MatrixXd misfit_;      ///< what misfit adds to half the loss's curvature
-    MatrixXd influences_;  ///< of each sample's standard deviation on each unknown
+    MatrixXd misfit_;     ///< what misfit adds to half the loss's curvature
+    MatrixXd by_slopes_;  ///< what a pull on the slopes does to each unknown
 };
 
 /// Bias-corrected percentiles of a sorted sample about the estimate (Efron 1981), as far out as `reach` standard errors

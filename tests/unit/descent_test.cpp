@@ -207,6 +207,62 @@ TEST_P(EveryLook, HasTheCurvatureOfAnExactFit) {
     EXPECT_GE(compared, 4U);
 }
 
+/// A model that cannot follow its data, seen through all of them or through every third.
+TEST(BentLooks, HaveNewtonsCurvatureWhereItIsPositive) {
+    const kernels::Model& model = variant("phong");
+    const kernels::DirectionSet directions(scan_directions({15, 45, 70}, 2));
+    const SearchSpace space(model, {{0, 1}, {0, 1}, {1, 1000}});
+    std::vector<double> y, w;
+    Random random(9);
+    for (const kernels::Direction& d : directions.directions()) {
+        const double off = (d.theta_r_deg - d.theta_i_deg) / 15;
+        y.push_back(0.1 + std::exp(-off * off) + 0.3 * std::exp(-off * off / 25) + random.uniform(0, 0.02));
+        w.push_back(1);
+    }
+    kernels::Evaluator evaluator(engine(), model, engine().best_precision(), directions, y, w);
+    SpaceLoss loss(evaluator, space, 1);
+    std::size_t positive = 0;
+    std::size_t negative = 0;
+    for (double u = 0.05; u < 1; u += 0.05) {
+        const std::vector<double> point{u};
+        constexpr double kStep = 1e-4;
+        std::vector<double> above(1), below(1);
+        loss(std::vector<double>{u + kStep}, above);
+        loss(std::vector<double>{u - kStep}, below);
+        const double newton = (above[0] - below[0]) / (2 * kStep);
+        const Look plain = loss.looks({&point, 1}).front();
+        const Look bent = loss.looks_bent_by(loss, {&point, 1}).front();
+        EXPECT_EQ(bent.value, plain.value);
+        EXPECT_EQ(bent.gradient, plain.gradient);
+        EXPECT_NEAR(bent.curvature[0], newton > 0 ? newton : plain.curvature[0], 1e-6 * plain.curvature[0]);
+        ++(newton > 0 ? positive : negative);
+    }
+    EXPECT_GT(positive, 3U);
+    EXPECT_GT(negative, 0U);
+}
+
+TEST(DearLosses, AreNotLookedAtTwice) {
+    const kernels::Model& model = variant("ward");
+    const kernels::DirectionSet directions(scan_directions({15, 45, 70}, 0.05));
+    const SearchSpace space(model, {{0, 1}, {0, 1}, {0.01, 1}});
+    const std::vector<double> ones(directions.directions().size(), 1.0);
+    kernels::Evaluator evaluator(engine(), model, engine().best_precision(), directions, ones, ones);
+    SpaceLoss loss(evaluator, space, 1);
+    const std::vector<double> u{0.4};
+    const double value = loss(u, {});
+    std::vector<double> gradient(1);
+    EXPECT_EQ(loss(u, gradient), value);
+    Minimum minimum;
+    minimum.u = u;
+    loss.complete(minimum);
+    EXPECT_EQ(minimum.loss2, value);
+    EXPECT_EQ(minimum.coefficients.size(), model.terms.size());
+    EXPECT_EQ(loss.evaluations(), 1U);
+    const Look look = loss.looks({&u, 1}).front();
+    EXPECT_EQ(look.value, value);
+    EXPECT_EQ(look.gradient, gradient);
+}
+
 TEST_P(EveryLook, BlocksPartitionTheCoordinates) {
     std::vector<optim::Interval> bounds;
     for (const kernels::Parameter& p : GetParam()->parameters) bounds.push_back({p.min, p.max});

@@ -8,6 +8,7 @@
 #include <array>
 #include <cmath>
 #include <cstdio>
+#include <future>
 #include <limits>
 
 #include "kernels/series.h"
@@ -481,6 +482,32 @@ TEST(Batches, NoCandidatesAreNoResults) {
     evaluator.project({}, {}, {}, true, batch);
     EXPECT_TRUE(batch.loss.empty());
     EXPECT_TRUE(evaluator.terms({}).empty());
+}
+
+/// Threads that ask for many directions' columns together each form a part of them.
+TEST(Columns, OfManyDirectionsAreThoseOfEachAlone) {
+    const Model& model = variant("he_torrance");
+    std::vector<Direction> many = scan_directions({5, 20, 35, 50, 65, 80}, 0.05);
+    const kernels::DirectionSet directions(many);
+    const std::vector<double> parameters{0.3, 2, 1.5, 0.1, 0.2};
+    std::vector<std::future<std::vector<double>>> found;
+    for (int thread = 0; thread < 3; ++thread)
+        found.push_back(std::async(std::launch::async, [&] {
+            return Evaluator(engine(), model, engine().best_precision(), directions, {}, {}).terms(parameters);
+        }));
+    const std::vector<double> terms = found[0].get();
+    for (std::size_t thread = 1; thread < found.size(); ++thread) EXPECT_EQ(found[thread].get(), terms);
+    const std::size_t count = 64;
+    for (const std::size_t first : {std::size_t{0}, std::size_t{4090}, many.size() - count}) {
+        const auto begin = many.begin() + static_cast<std::ptrdiff_t>(first);
+        const std::vector<Direction> few(begin, begin + static_cast<std::ptrdiff_t>(count));
+        const std::vector<double> alone =
+            Evaluator(engine(), model, engine().best_precision(), few, {}, {}).terms(parameters);
+        for (std::size_t row = 0; row < model.term_values(); ++row)
+            for (std::size_t j = 0; j < count; ++j)  // lanes differ where a series ends with its neighbours'
+                EXPECT_NEAR(terms[row * many.size() + first + j], alone[row * count + j],
+                            1e-9 * std::abs(alone[row * count + j]) + 1e-300);
+    }
 }
 
 TEST(Engines, UnknownDevicesAreRefusedWithTheKnownOnes) {
