@@ -294,8 +294,9 @@ TEST(ComplexIndex, IsTriedWhereOneMoreSampleIsReflectedTotally) {
         EXPECT_NEAR(p[2], critical, 1e-5);
         EXPECT_NEAR(p[3], 0, 1e-12);
         for (std::size_t j = 0; j < u.size(); ++j)
-            if (std::count(choices.coordinates.begin(), choices.coordinates.end(), j) == 0)
+            if (std::count(choices.coordinates.begin(), choices.coordinates.end(), j) == 0) {
                 EXPECT_EQ(choices.points[i][j], u[j]);
+            }
     }
     EXPECT_EQ(space.critical_indices(u, 1).points.size(), 1U);
     EXPECT_TRUE(SearchSpace(model, default_bounds(model)).critical_indices(u, 10).points.empty());
