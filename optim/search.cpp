@@ -160,6 +160,14 @@ std::vector<std::vector<double>> exchanged_points(const SearchSpace& space, cons
     return points;
 }
 
+/// Places of values, the least first.
+std::vector<std::size_t> ranked(const std::vector<double>& values) {
+    std::vector<std::size_t> order(values.size());
+    std::iota(order.begin(), order.end(), std::size_t{0});
+    std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return values[a] < values[b]; });
+    return order;
+}
+
 double distance(std::span<const double> a, std::span<const double> b) {
     double largest = 0;
     for (std::size_t i = 0; i < a.size(); ++i) largest = std::max(largest, std::abs(a[i] - b[i]));
@@ -183,6 +191,23 @@ constexpr double kStepPromise = 1.03;
 /// Rounds of exchanges, while each gains this part of loss^2.
 constexpr int kExchangeRounds = 4;
 constexpr double kExchangeGain = 5e-4;
+/// A term without which loss^2 is no more than so many times the best fits little but noise, and there are many ways to
+/// do so: so many more points are screened with its strength freed, and so many of them descend.
+constexpr double kWeak = 4;
+constexpr std::size_t kWeakScreened = 192;
+constexpr std::size_t kWeakStarts = 16;
+/// Of a term with a strength other shapes are tried about the best end: so many on a line, and descents from so many of
+/// them, so far from each other.
+constexpr std::size_t kShapes = 24;
+constexpr std::size_t kShapeStarts = 3;
+constexpr double kShapesApart = 0.15;
+/// Critical angles at which a real index is tried about a best end, and starts of each, where loss^2 with the strength
+/// freed is up to so much of the best; of a weak term about so many ends, and in so many rounds while it gains.
+constexpr std::size_t kMostCritical = 200;
+constexpr std::size_t kCriticalStarts = 8;
+constexpr double kCriticalPromise = 1.1;
+constexpr std::size_t kWeakBases = 6;
+constexpr int kWeakRounds = 3;
 /// Of NLopt's SLSQP from each of the last ends, in all parameters.
 constexpr int kFurtherEvaluations = 300;
 /// Ends whose loss^2 is this near to the best are worth polishing, so many of them: found with other samples, or with
@@ -208,11 +233,8 @@ std::vector<std::vector<double>> screening_points(const SearchSpace& space, std:
 std::vector<std::vector<double>> best_distinct(const std::vector<std::vector<double>>& points,
                                                const std::vector<double>& values, std::size_t count) {
     constexpr double kClose = 0.05;
-    std::vector<std::size_t> order(points.size());
-    std::iota(order.begin(), order.end(), std::size_t{0});
-    std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) { return values[a] < values[b]; });
     std::vector<std::vector<double>> chosen;
-    for (const std::size_t i : order) {
+    for (const std::size_t i : ranked(values)) {
         if (chosen.size() == count) break;
         if (std::none_of(chosen.begin(), chosen.end(), [&](const auto& u) { return distance(u, points[i]) < kClose; }))
             chosen.push_back(points[i]);
@@ -268,7 +290,10 @@ public:
         if (space_.dimension() == 0) return only_point();
         descend_from_screened(seeds);
         if (blocks_.size() > 1 && budget_.bases > 0) {
+            const bool weak = is_weak();
+            if (weak) descend_freed();
             exchange();
+            take_critical_indices(weak);
             if (scan != nullptr) take_steps(*scan);
             pass(LessWork::stop_after_exchange, {ends_.front().u});
         }
@@ -331,6 +356,48 @@ private:
         pass(LessWork::stop_after_descents, {ends_.front().u});
     }
 
+    static bool has(const std::vector<std::size_t>& block, std::size_t coordinate) {
+        return std::find(block.begin(), block.end(), coordinate) != block.end();
+    }
+
+    /// Whether the term with a strength is little but noise.
+    bool is_weak() {
+        const std::optional<Strength> strength = space_.strength();
+        if (!strength || control_.over()) return false;
+        std::vector<double> without = ends_.front().u;
+        without[strength->coordinate] = 0;
+        return quick_.screen({without}, control_).front() < kWeak * ends_.front().loss2;
+    }
+
+    /// Points at random are best where such a term is next to nothing: its strength is chosen for each.
+    void descend_freed() {
+        auto points = screening_points(space_, kWeakScreened, control_.seed + 7);
+        const std::vector<double> values = quick_.screen_freed_roughly(points, control_);
+        descend_from(quick_, best_distinct(points, values, kWeakStarts));
+    }
+
+    /// Starts along the shapes of a term about a point, the strength chosen for each. Strength is only nearly the
+    /// square of its coordinate, so it is chosen twice.
+    std::vector<std::vector<double>> shapes(const std::vector<double>& about, const Strength& strength, int round) {
+        std::vector<std::vector<double>> line(kShapes, about);
+        const double gap = 1.0 / static_cast<double>(kShapes - 1);
+        for (std::size_t i = 0; i < kShapes; ++i)
+            line[i][strength.shape] = std::min(1.0, (static_cast<double>(i) + 0.5 * round) * gap);
+        quick_.screen_freed_roughly(line, control_);
+        quick_.screen_freed_roughly(line, control_);
+        const std::vector<double> values = quick_.screen(line, control_);
+        std::vector<std::vector<double>> chosen{about};
+        for (const std::size_t i : ranked(values)) {
+            const auto close = [&](const auto& u) {
+                return std::abs(u[strength.shape] - line[i][strength.shape]) < kShapesApart;
+            };
+            if (chosen.size() > kShapeStarts) break;
+            if (std::none_of(chosen.begin(), chosen.end(), close)) chosen.push_back(line[i]);
+        }
+        chosen.erase(chosen.begin());
+        return chosen;
+    }
+
     /// Other coordinates in one block of the best ends, in rounds while each gains.
     void exchange() {
         std::size_t bases = budget_.bases;
@@ -352,6 +419,11 @@ private:
             std::uint64_t seed = control_.seed + static_cast<std::uint64_t>(round);
             for (const Minimum& base : about)
                 for (const auto& block : blocks_) {
+                    if (const auto strength = space_.strength(); strength && has(block, strength->shape)) {
+                        for (auto& start : shapes(base.u, *strength, round)) next.push_back(std::move(start));
+                        ++seed;
+                        continue;
+                    }
                     const auto fresh = exchanged_points(space_, base.u, block, budget_.exchanged, ++seed);
                     add_best(fresh, quick_.screen_roughly(fresh, budget_.exchange_starts, control_));
                 }
@@ -359,6 +431,62 @@ private:
             if (!(ends_.front().loss2 < before * (1 - kExchangeGain))) break;
             bases = 1;
         }
+    }
+
+    /// The quick loss with these coordinates held, which must outlive it.
+    Landscape with_held(const std::vector<std::size_t>& coordinates) {
+        return [this, &coordinates](auto points) {
+            std::vector<Look> seen = quick_.looks(points);
+            for (Look& look : seen)
+                for (const std::size_t j : coordinates) {
+                    look.gradient[j] = 0;
+                    for (std::size_t k = 0, d = look.gradient.size(); k < d; ++k)
+                        look.curvature[j * d + k] = look.curvature[k * d + j] = 0;
+                }
+            return seen;
+        };
+    }
+
+    /// A real index n < 1 reflects all light beyond its critical angle, so the loss has a kink, and may have a minimum,
+    /// at every n that is the sine of a sample's angle: no slope leads from one to the other, and all are tried.
+    void take_critical_indices(bool weak) {
+        for (int round = 0; round < (weak ? kWeakRounds : 1) && !control_.over(); ++round) {
+            const double before = ends_.front().loss2;
+            std::vector<Minimum> about = distinct_ends(ends_, 0.05);
+            about.resize(std::min<std::size_t>(about.size(), weak && round == 0 ? kWeakBases : 1));
+            std::vector<std::vector<double>> next;
+            for (const Minimum& base : about) {
+                const Choices choices = space_.critical_indices(base.u, kMostCritical);
+                if (choices.points.empty()) return;
+                if (!weak && !may_be_critical(choices.points)) return;
+                std::vector<std::vector<double>> chosen;
+                const auto add_best = [&](const std::vector<double>& values) {
+                    std::size_t count = 0;
+                    for (const std::size_t i : ranked(values)) {
+                        if (count++ == kCriticalStarts || !(values[i] < kCriticalPromise * before)) break;
+                        if (std::find(chosen.begin(), chosen.end(), choices.points[i]) == chosen.end())
+                            chosen.push_back(choices.points[i]);
+                    }
+                };
+                auto freed = choices.points;
+                add_best(quick_.screen_freed(freed, control_));
+                if (weak) add_best(quick_.screen(choices.points, control_));
+                // The other coordinates adapt before the index moves, which the kink would hold up.
+                for (Minimum& end : descend_together(with_held(choices.coordinates), chosen, kStepGoal, control_))
+                    next.push_back(std::move(end.u));
+            }
+            if (next.empty()) break;
+            descend_towards(quick_, next, kStepGoal);
+            if (!(ends_.front().loss2 < before * (1 - kStepGain))) break;
+        }
+    }
+
+    /// Whether a few of the points, most of them with a small index, promise anything with their strength freed.
+    bool may_be_critical(const std::vector<std::vector<double>>& points) {
+        std::vector<std::vector<double>> few;
+        for (std::size_t i = 1; i <= points.size(); i *= 2) few.push_back(points[i - 1]);
+        const std::vector<double> values = quick_.screen_freed(few, control_);
+        return *std::min_element(values.begin(), values.end()) < kCriticalPromise * ends_.front().loss2;
     }
 
     /// Starts about a minimum with a step in place of each lobe, where that promises loss^2 of up to `within`.
@@ -388,17 +516,8 @@ private:
                 chosen.push_back(std::move(points[static_cast<std::size_t>(least - losses.begin())]));
             }
             // The other terms adapt before the step's edge moves: a sample in its way would hold up all of them.
-            const Landscape held = [&](auto points_there) {
-                std::vector<Look> seen = quick_.looks(points_there);
-                for (Look& look : seen)
-                    for (const std::size_t j : block) {
-                        look.gradient[j] = 0;
-                        for (std::size_t k = 0, d = look.gradient.size(); k < d; ++k)
-                            look.curvature[j * d + k] = look.curvature[k * d + j] = 0;
-                    }
-                return seen;
-            };
-            for (Minimum& end : descend_together(held, chosen, kStepGoal, control_)) starts.push_back(std::move(end.u));
+            for (Minimum& end : descend_together(with_held(block), chosen, kStepGoal, control_))
+                starts.push_back(std::move(end.u));
         }
         return starts;
     }

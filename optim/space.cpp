@@ -7,6 +7,8 @@
 #include <numeric>
 #include <optional>
 
+#include "kernels/geometry.h"
+
 namespace brdfit::optim {
 namespace {
 
@@ -63,6 +65,8 @@ public:
     [[nodiscard]] virtual std::size_t dimension() const { return 1; }
     /// The homogeneous term of which this is the direction.
     [[nodiscard]] virtual std::optional<std::size_t> lobe() const { return std::nullopt; }
+    /// Whether it sets the parameter.
+    [[nodiscard]] virtual bool moves(std::size_t parameter) const = 0;
     /// Numbers that apply() leaves for slopes().
     [[nodiscard]] virtual std::size_t notes() const { return 1; }
     virtual void apply(std::span<const double> u, Candidate& out, std::span<double> notes) const = 0;
@@ -95,6 +99,8 @@ public:
     LevelAxis(std::size_t index, Interval bounds, double level)
         : index_(index), bounds_(bounds), level_(level, std::min(bounds.max - bounds.min, kLargestCoefficient)) {}
 
+    [[nodiscard]] bool moves(std::size_t parameter) const override { return parameter == index_; }
+
     void apply(std::span<const double> u, Candidate& out, std::span<double> notes) const override {
         out.parameters[index_] = std::clamp(bounds_.min + level_.value(u[0]), bounds_.min, bounds_.max);
         notes[0] = level_.slope(u[0]);
@@ -125,6 +131,8 @@ public:
         typical_ = {inside(parameter.typical_min), inside(parameter.typical_max)};
         if (!(typical_.min < typical_.max)) typical_ = {0, 1};
     }
+
+    [[nodiscard]] bool moves(std::size_t parameter) const override { return parameter == index_; }
 
     void apply(std::span<const double> u, Candidate& out, std::span<double> notes) const override {
         const double value = log_ ? bounds_.min * std::exp(u[0] * range_) : bounds_.min + u[0] * range_;
@@ -164,6 +172,7 @@ public:
     }
 
     [[nodiscard]] std::size_t dimension() const override { return 2; }
+    [[nodiscard]] bool moves(std::size_t parameter) const override { return parameter == n_ || parameter == k_; }
 
     [[nodiscard]] std::size_t notes() const override { return 4; }
 
@@ -276,6 +285,7 @@ public:
     }
 
     [[nodiscard]] std::size_t dimension() const override { return height_ ? 2 : 1; }
+    [[nodiscard]] bool moves(std::size_t parameter) const override { return parameter == x_ || parameter == y_; }
     [[nodiscard]] std::optional<std::size_t> lobe() const override { return term_; }
 
     /// The rectangle must hold the origin, so that every direction has lengths from 0.
@@ -464,6 +474,13 @@ SearchSpace::SearchSpace(const Model& model, std::vector<Interval> bounds, Unkno
         notes_ += axis->notes();
     }
     if (scaled()) ++dimension_;
+    for (const kernels::Chart& chart : model.charts) {
+        IndexAxis index{chart.parameters.first, chart.parameters.second, {}};
+        for (const Place& place : places_)
+            if (place.axis->moves(index.n) || place.axis->moves(index.k))
+                for (std::size_t j = 0; j < place.coordinates; ++j) index.coordinates.push_back(place.first + j);
+        if (!index.coordinates.empty()) indices_.push_back(std::move(index));
+    }
     rows_.resize(bounds_.size());
     std::size_t row = model.terms.size();
     for (const std::size_t parameter : nonlinear_) rows_[parameter] = row++;
@@ -640,6 +657,51 @@ std::vector<std::vector<double>> SearchSpace::spikes(const std::vector<double>& 
     for (std::size_t k = 0; k < count; ++k)
         shapes.push_back({angles[k * angles.size() / count], bounds_[of.degree].max});
     return shaped(u, block, shapes);
+}
+
+std::optional<Strength> SearchSpace::strength() const {
+    if (unknowns_ == Unknowns::all || indices_.empty()) return std::nullopt;
+    const IndexAxis& index = indices_.front();
+    if (index.coordinates.size() != 2) return std::nullopt;
+    for (std::size_t t = 0; t < model_.terms.size(); ++t) {
+        const Term& term = model_.terms[t];
+        const bool depends = std::find(term.of.begin(), term.of.end(), index.n) != term.of.end();
+        if (depends && !term.factor && !term.homogeneous)
+            return Strength{t, index.coordinates.front(), index.coordinates.back()};
+    }
+    return std::nullopt;
+}
+
+Choices SearchSpace::critical_indices(const std::vector<double>& u, std::size_t most) const {
+    // On the side of total reflection, in single precision too: the loss bends there no more than elsewhere, on the
+    // other side it goes as a root.
+    constexpr double kWithin = 1 - 1e-6;
+    constexpr double kSame = 1e-7;
+    if (seen_ == nullptr || indices_.empty()) return {};
+    const IndexAxis& index = indices_.front();
+    if (bounds_[index.k].min > 0 || bounds_[index.n].fixed()) return {};
+    const auto columns = kernels::geometry_columns();
+    const auto sine2 = static_cast<std::size_t>(
+        std::find_if(columns.begin(), columns.end(), [](const auto& c) { return c.name == "sd2"; }) - columns.begin());
+    std::vector<double> critical;
+    for (const auto& [square, same] : seen_->points(sine2, sine2)) {
+        const double n = std::sqrt(square) * kWithin;
+        if (n >= bounds_[index.n].min && n <= bounds_[index.n].max) critical.push_back(n);
+    }
+    std::sort(critical.begin(), critical.end());
+    critical.erase(std::unique(critical.begin(), critical.end(), [](double a, double b) { return b - a < kSame; }),
+                   critical.end());
+    Choices result{index.coordinates, {}};
+    std::vector<double> parameters = candidate(u).parameters;
+    parameters[index.k] = 0;
+    const std::size_t count = std::min(critical.size(), most);
+    for (std::size_t i = 0; i < count; ++i) {
+        parameters[index.n] = critical[i * critical.size() / count];
+        const std::vector<double> there = coordinates(parameters, scale(u));
+        result.points.push_back(u);
+        for (const std::size_t j : index.coordinates) result.points.back()[j] = there[j];
+    }
+    return result;
 }
 
 std::vector<Interval> SearchSpace::typical() const {

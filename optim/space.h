@@ -34,6 +34,19 @@ struct LobeShape {
     double degree;  ///< clamped to its bounds
 };
 
+/// Points that differ from one another in some coordinates only.
+struct Choices {
+    std::vector<std::size_t> coordinates;
+    std::vector<std::vector<double>> points;
+};
+
+/// A term whose strength is nearly the square of one coordinate, and whose shape another one tells.
+struct Strength {
+    std::size_t term;
+    std::size_t coordinate;
+    std::size_t shape;
+};
+
 /// One coordinate or two of the cube.
 class Axis;
 
@@ -111,6 +124,13 @@ public:
     [[nodiscard]] std::vector<std::vector<double>> shaped(const std::vector<double>& u,
                                                           const std::vector<std::size_t>& block,
                                                           std::span<const LobeShape> shapes) const;
+    /// The term without a coefficient that a chart's rho = r e^(i phi) makes: its strength is r^2, its shape phi's.
+    /// None if there is no such, or with Unknowns::all.
+    [[nodiscard]] std::optional<Strength> strength() const;
+    /// The point with each real index n < 1 beyond which one more of the samples is reflected totally: the loss has a
+    /// kink there. Up to `most`, evenly chosen; none where no index is searched that may be so, or no samples are
+    /// known.
+    [[nodiscard]] Choices critical_indices(const std::vector<double>& u, std::size_t most) const;
     [[nodiscard]] const std::vector<Interval>& bounds() const { return bounds_; }
 
 private:
@@ -130,6 +150,12 @@ private:
         const Axis* axis;
         std::size_t first, coordinates, note, notes;
     };
+    /// A complex index, and the coordinates that move it.
+    struct IndexAxis {
+        std::size_t n, k;
+        std::vector<std::size_t> coordinates;
+    };
+    std::vector<IndexAxis> indices_;
     std::vector<Place> places_;
     std::vector<std::size_t> rows_;  ///< of each parameter among the slopes
     std::vector<double> held_;       ///< parameters before any axis has set its own

@@ -12,8 +12,15 @@
 #include "optim/thinned.h"
 
 namespace brdfit::optim {
+namespace {
 
-void SpaceLoss::evaluate(std::span<const std::vector<double>> points, bool gradient) {
+/// A coordinate of strength is not taken for less: there slopes vanish.
+constexpr double kLeastStrength = 0.02;
+
+}  // namespace
+
+void SpaceLoss::evaluate(std::span<const std::vector<double>> points, bool gradient,
+                         const std::optional<Strength>& freed) {
     if (candidates_.size() < points.size()) candidates_.resize(points.size());
     parameters_.clear();
     lower_.clear();
@@ -24,6 +31,10 @@ void SpaceLoss::evaluate(std::span<const std::vector<double>> points, bool gradi
         parameters_.insert(parameters_.end(), at.parameters.begin(), at.parameters.end());
         lower_.insert(lower_.end(), at.lower.begin(), at.lower.end());
         upper_.insert(upper_.end(), at.upper.begin(), at.upper.end());
+        if (!freed) continue;
+        const double u = std::max(points[i][freed->coordinate], kLeastStrength);
+        lower_[i * at.lower.size() + freed->term] = 0;
+        upper_[i * at.upper.size() + freed->term] = at.upper[freed->term] / (u * u);
     }
     if (space_.unknowns() == Unknowns::nonlinear) evaluator_.project(parameters_, lower_, upper_, gradient, batch_);
     else if (robust()) robust_loss(evaluator_, *form_, parameters_, lower_, batch_);
@@ -160,17 +171,40 @@ std::vector<Look> SpaceLoss::looks_bent_by(SpaceLoss& part, std::span<const std:
     return result;
 }
 
-std::vector<double> SpaceLoss::screen(const std::vector<std::vector<double>>& points, const SearchControl& control) {
+std::vector<double> SpaceLoss::screen(const std::vector<std::vector<double>>& points, const SearchControl& control,
+                                      const std::optional<Strength>& freed, std::vector<double>& strengths) {
     constexpr std::size_t kLaunch = 1'000'000;  // candidates x samples: under a second on one core
     const std::size_t most = std::max<std::size_t>(1, kLaunch / std::max<std::size_t>(1, evaluator_.samples()));
+    const std::size_t terms = space_.model().terms.size();
     std::vector<double> values(points.size(), std::numeric_limits<double>::max());
     for (std::size_t first = 0; first < points.size() && !control.over(); first += most) {
         const std::size_t count = std::min(most, points.size() - first);
-        evaluate(std::span(points).subspan(first, count), false);
-        for (std::size_t i = 0; i < count; ++i)
-            if (std::isfinite(batch_.loss[i])) values[first + i] = batch_.loss[i] / scale2_;
+        evaluate(std::span(points).subspan(first, count), false, freed);
+        for (std::size_t i = 0; i < count; ++i) {
+            if (!std::isfinite(batch_.loss[i])) continue;
+            values[first + i] = batch_.loss[i] / scale2_;
+            if (freed)
+                strengths[first + i] = batch_.coefficients[i * terms + freed->term] / candidates_[i].upper[freed->term];
+        }
         control.evaluated(count, *std::min_element(values.begin() + static_cast<std::ptrdiff_t>(first),
                                                    values.begin() + static_cast<std::ptrdiff_t>(first + count)));
+    }
+    return values;
+}
+
+std::vector<double> SpaceLoss::screen(const std::vector<std::vector<double>>& points, const SearchControl& control) {
+    std::vector<double> none;
+    return screen(points, control, std::nullopt, none);
+}
+
+std::vector<double> SpaceLoss::screen_freed(std::vector<std::vector<double>>& points, const SearchControl& control) {
+    const std::optional<Strength> strength = space_.strength();
+    if (!strength) return screen(points, control);
+    std::vector<double> strengths(points.size(), 1.0);
+    const std::vector<double> values = screen(points, control, strength, strengths);
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        double& u = points[i][strength->coordinate];
+        u = std::clamp(std::max(u, kLeastStrength) * std::sqrt(strengths[i]), kLeastStrength, 1.0);
     }
     return values;
 }

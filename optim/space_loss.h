@@ -2,6 +2,7 @@
 #pragma once
 
 #include <cstddef>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -41,6 +42,13 @@ public:
     /// have the largest value.
     std::vector<double> screen_roughly(const std::vector<std::vector<double>>& points, std::size_t wanted,
                                        const SearchControl& control);
+    /// Values where the term of SearchSpace::strength() may have any strength that its coordinate reaches; the points
+    /// move there, as far as strength is that coordinate's square. Of a space without such a term, those of screen().
+    std::vector<double> screen_freed(std::vector<std::vector<double>>& points, const SearchControl& control);
+    /// The same through the fewer samples, where there are such.
+    std::vector<double> screen_freed_roughly(std::vector<std::vector<double>>& points, const SearchControl& control) {
+        return (fewer_ != nullptr ? *fewer_ : *this).screen_freed(points, control);
+    }
     /// Fills in the loss, not divided, and the coefficients at minimum.u.
     void complete(Minimum& minimum);
 
@@ -71,8 +79,11 @@ private:
     /// them.
     [[nodiscard]] bool is_dear() const;
     void keep(Known known);
-    /// Evaluates points into batch_ and candidates_.
-    void evaluate(std::span<const std::vector<double>> points, bool gradient);
+    /// Evaluates points into batch_ and candidates_; with `freed` that term may have another strength.
+    void evaluate(std::span<const std::vector<double>> points, bool gradient,
+                  const std::optional<Strength>& freed = std::nullopt);
+    std::vector<double> screen(const std::vector<std::vector<double>>& points, const SearchControl& control,
+                               const std::optional<Strength>& freed, std::vector<double>& strengths);
 
     kernels::Evaluator& evaluator_;
     const SearchSpace& space_;

@@ -126,6 +126,35 @@ TEST(Screening, LooksAtFewSamplesFirstAndAtTheBetterPointsWhole) {
     EXPECT_EQ(*std::min_element(rough.begin(), rough.end()), *std::min_element(exact.begin(), exact.end()));
 }
 
+TEST(Screening, ChoosesTheStrengthOfALobe) {
+    const kernels::Model& model = catalogue().find("he_torrance")->variant();
+    std::vector<optim::Interval> bounds;
+    for (const kernels::Parameter& p : model.parameters) bounds.push_back({p.min, p.max});
+    for (const double unit : {1.0, 1.0 / 64}) {  // data as they are divided by a power of two
+        const SearchSpace space(model, bounds, optim::Unknowns::nonlinear, {unit, unit});
+        const auto directions = scan_directions({15, 45, 70}, 4);
+        std::vector<double> y = model_values(model, {0.3, 3, 1.5, 0, 0.2}, directions);
+        for (double& value : y) value *= unit;
+        kernels::Evaluator evaluator(engine(), model, engine().best_precision(), directions, y,
+                                     std::vector<double>(y.size(), 1.0));
+        SpaceLoss loss(evaluator, space, 1);
+        const std::vector<double> truth = space.coordinates({0.3, 3, 1.5, 0, 0.2}, unit);
+        const std::size_t strength = space.strength().value().coordinate;
+        std::vector<std::vector<double>> points{truth, truth, truth};
+        points[0][strength] *= 0.5;
+        points[1][strength] *= 2;
+        const std::vector<double> held = loss.screen(points, {});
+        const std::vector<double> freed = loss.screen_freed(points, {});
+        EXPECT_NEAR(points[2][strength] / truth[strength], 1, 1e-6);
+        const std::vector<double> moved = loss.screen(points, {});
+        for (std::size_t i = 0; i < 2; ++i) {  // the shape of F changes with its strength, so one is not there at once
+            EXPECT_LE(freed[i], held[i]);
+            EXPECT_LT(moved[i], held[i]);
+            EXPECT_LT(std::abs(points[i][strength] - truth[strength]), (i == 0 ? 0.5 : 1.0) * truth[strength]);
+        }
+    }
+}
+
 TEST(Descents, TurnBackFromWhatIsNotFinite) {
     const Landscape cliff = [inner = valley(0.4, 0.3)](std::span<const std::vector<double>> points) {
         std::vector<Look> looks = inner(points);

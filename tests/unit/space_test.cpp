@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <numbers>
 
 #include "kernels/evaluator.h"
 #include "tests/support.h"
@@ -277,6 +278,32 @@ TEST(ComplexIndex, ChartCoversTheWholeBox) {
         EXPECT_NEAR(at.parameters[2], n, 1e-9 * (1 + n)) << n << " " << k;
         EXPECT_NEAR(at.parameters[3], k, 1e-9 * (1 + k)) << n << " " << k;
     }
+}
+
+TEST(ComplexIndex, IsTriedWhereOneMoreSampleIsReflectedTotally) {
+    const Model& model = variant("he_torrance");
+    const kernels::DirectionSet directions({{30, 30, 0}, {60, 60, 0}, {20, 40, 0}, {1, 1, 0}});  // 1 degree: n < 0.05
+    const SearchSpace space(model, default_bounds(model), Unknowns::nonlinear, {}, 1, Charts::used, &directions);
+    const std::vector<double> u{0.4, 0.3, 0.6, 0.7};
+    const optim::Choices choices = space.critical_indices(u, 10);
+    ASSERT_EQ(choices.points.size(), 2U);  // 30 degrees twice
+    for (std::size_t i = 0; i < 2; ++i) {
+        const std::vector<double> p = space.candidate(choices.points[i]).parameters;
+        const double critical = std::sin((i == 0 ? 30 : 60) * std::numbers::pi / 180);
+        EXPECT_LT(p[2], critical);
+        EXPECT_NEAR(p[2], critical, 1e-5);
+        EXPECT_NEAR(p[3], 0, 1e-12);
+        for (std::size_t j = 0; j < u.size(); ++j)
+            if (std::count(choices.coordinates.begin(), choices.coordinates.end(), j) == 0) {
+                EXPECT_EQ(choices.points[i][j], u[j]);
+            }
+    }
+    EXPECT_EQ(space.critical_indices(u, 1).points.size(), 1U);
+    EXPECT_TRUE(SearchSpace(model, default_bounds(model)).critical_indices(u, 10).points.empty());
+    std::vector<Interval> absorbs = default_bounds(model);
+    absorbs[3].min = 0.1;
+    const SearchSpace metals(model, absorbs, Unknowns::nonlinear, {}, 1, Charts::used, &directions);
+    EXPECT_TRUE(metals.critical_indices(u, 10).points.empty());
 }
 
 TEST(ComplexIndex, MissesOnlyTheOuterCornerOfTheBox) {
