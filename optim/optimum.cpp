@@ -162,12 +162,12 @@ Optimum settled(const Task& task, const std::vector<Interval>& bounds, const Wei
 }
 
 /// At a kink of the loss, such as a sample's critical angle is, no slope tells the way on: a point about the end may.
-/// None if that is not so.
-std::optional<Optimum> beside(const Task& task, const std::vector<Interval>& bounds, const Weighted& weighted,
-                              Unknowns unknowns, double level, double scale2, Optimum& found) {
+/// What a descent from the best such point ends at, or what was found if none is better.
+Optimum beside(const Task& task, const std::vector<Interval>& bounds, const Weighted& weighted, Unknowns unknowns,
+               double level, double scale2, const Optimum& found) {
     constexpr std::size_t kOfSize = 20;
     const SearchSpace space(task.model, bounds, unknowns, task.scale, level, Charts::none);
-    if (space.dimension() == 0 || weighted.y.size() > kThinAbove) return std::nullopt;
+    if (space.dimension() == 0 || weighted.y.size() > kThinAbove) return found;
     Evaluator evaluator(task.engine, task.model, task.engine.best_precision(), task.directions, weighted.y,
                         weighted.weight);
     SpaceLoss loss(evaluator, space, scale2, &weighted);
@@ -184,8 +184,9 @@ std::optional<Optimum> beside(const Task& task, const std::vector<Interval>& bou
     const std::vector<double> values = loss.screen(points, task.control);
     const auto least = std::min_element(values.begin(), values.end());
     if (!(*least < found.relative_loss2 * (1 - 1e-9))) {
-        found.record.evaluations += loss.evaluations();
-        return std::nullopt;
+        Optimum same = found;
+        same.record.evaluations += loss.evaluations();
+        return same;
     }
     const Landscape landscape = [&](auto at) { return loss.looks(at); };
     const auto& start = points[static_cast<std::size_t>(least - values.begin())];
@@ -234,9 +235,10 @@ Optimum finished(const Task& task, const std::vector<Interval>& bounds, const We
     if (task.control.over()) return optimum;
     optimum = settled(task, bounds, weighted, unknowns, level, scale2, optimum);
     for (int round = 0; round < kRounds && optimum.record.stop_reason == StopReason::roundoff; ++round) {
-        const auto next = beside(task, bounds, weighted, unknowns, level, scale2, optimum);
-        if (!next) break;
-        optimum = settled(task, bounds, weighted, unknowns, level, scale2, *next);
+        Optimum next = beside(task, bounds, weighted, unknowns, level, scale2, optimum);
+        const bool better = next.relative_loss2 < optimum.relative_loss2;
+        optimum = better ? settled(task, bounds, weighted, unknowns, level, scale2, next) : std::move(next);
+        if (!better) break;
     }
     return optimum;
 }
