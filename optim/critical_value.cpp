@@ -115,7 +115,7 @@ struct Tested {
 Tested tested(const Neighbourhood& about, const Place& here, Index psi) {
     Tested result;
     auto& [unit, h, b, others, near] = result;
-    h = here.a + about.minimised().misfit;
+    h = here.a + here.s;
     unit = h.diagonal().cwiseAbs().cwiseMax(1e-300).cwiseSqrt().cwiseInverse();
     h = unit.asDiagonal() * h * unit.asDiagonal();
     h.diagonal().array() += 1e-10;

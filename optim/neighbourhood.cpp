@@ -37,6 +37,10 @@ Neighbourhood::Neighbourhood(const Minimised& minimised, Refitter& refitter)
     VectorXd z(count());
     for (Index i = 0; i < count(); ++i) z(i) = unknown(i).z(unknown(i).p);
     start_ = look(bounded(std::move(z)));
+    if (minimised_.misfit.isZero(0)) return;
+    const MatrixXd whole = bend(start_);
+    const double share = whole.cwiseProduct(minimised_.misfit).sum() / whole.squaredNorm();
+    if (std::isfinite(share)) share_ = std::clamp(share, 0.0, 1.0);
 }
 
 double Neighbourhood::value(Index i, double z) const {
@@ -75,7 +79,7 @@ Place Neighbourhood::look(const VectorXd& z) const {
         rows.col(i) =
             (c.parameter ? c.slope(values[at(i)]) : 1.0) * root.cwiseProduct(Eigen::Map<const VectorXd>(slopes, n));
     }
-    Place result{z, residual.loss2, rows.transpose() * r, rows.transpose() * rows, {}};
+    Place result{z, residual.loss2, rows.transpose() * r, rows.transpose() * rows, {}, minimised_.misfit};
     VectorXd noise(n);
     for (Index j = 0; j < n; ++j) noise(j) = std::sqrt(minimised_.task.weighted.weight[at(j)]) * minimised_.spreads(j);
     const MatrixXd shaken = noise.asDiagonal() * rows;
@@ -83,8 +87,28 @@ Place Neighbourhood::look(const VectorXd& z) const {
     return result;
 }
 
+MatrixXd Neighbourhood::bend(const Place& place) const {
+    constexpr double kShort = 0.5;  // standard errors of one unknown, the others known
+    constexpr double kLong = 0.03;  // of a large step
+    MatrixXd h(count(), count());
+    for (Index i = 0; i < count(); ++i) {
+        const double step = std::min(kLong * size(i), kShort * std::sqrt(place.b(i, i)) / place.a(i, i));
+        const VectorXd aside = step * VectorXd::Unit(count(), i);
+        const Place below = look(bounded(place.z - aside)), above = look(bounded(place.z + aside));
+        h.col(i) = (above.g - below.g) / (above.z(i) - below.z(i));
+    }
+    return (h + h.transpose()) / 2 - place.a;
+}
+
+Place Neighbourhood::with_own_misfit(Place place) const {
+    if (!(share_ > 0)) return place;
+    const MatrixXd s = share_ * bend(place);
+    if (s.allFinite()) place.s = s;
+    return place;
+}
+
 Response Neighbourhood::respond(const Place& from, Index psi, double by, double damping) const {
-    const MatrixXd whole = from.a + minimised_.misfit;
+    const MatrixXd whole = from.a + from.s;
     if (const auto found = respond(from, whole, psi, by, damping)) return *found;
     return respond(from, from.a, psi, by, damping)
         .value_or(Response{VectorXd::Zero(count()), from.loss2, from.g(psi), from.a(psi, psi), 0,

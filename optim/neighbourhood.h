@@ -27,13 +27,14 @@ struct Minimised {
     std::vector<double> degrees;   ///< of freedom of the noise, as each unknown sees it
 };
 
-/// The loss about a point: L + 2 g'd + d'(A + S)d, S the misfit's. Unknowns are on their own scales.
+/// The loss about a point: L + 2 g'd + d'(A + S)d. Unknowns are on their own scales.
 struct Place {
     Eigen::VectorXd z;
     double loss2 = 0;
     Eigen::VectorXd g;
     Eigen::MatrixXd a;  ///< Gauss and Newton's
     Eigen::MatrixXd b;  ///< covariance of g by noise
+    Eigen::MatrixXd s;  ///< what misfit adds to a, as it is at the minimum or here
 
     [[nodiscard]] bool is_finite() const;
 };
@@ -71,8 +72,11 @@ public:
 
     /// The minimum.
     [[nodiscard]] const Place& start() const { return start_; }
-    /// The loss as it is at z, which lies within the bounds.
+    /// The loss as it is at z, which lies within the bounds; what misfit adds is the minimum's.
     [[nodiscard]] Place look(const Eigen::VectorXd& z) const;
+    /// The same place with what misfit adds there, from differences of gradients: two looks an unknown, none where
+    /// misfit adds nothing at the minimum.
+    [[nodiscard]] Place with_own_misfit(Place place) const;
     /// The nearest point within the bounds.
     [[nodiscard]] Eigen::VectorXd bounded(Eigen::VectorXd z) const;
     /// What the others do where unknown psi moves by a step, damped after Marquardt.
@@ -82,6 +86,8 @@ public:
     [[nodiscard]] std::optional<Place> at_lower_bound(const Place& from, Index i, Index held, double close) const;
 
 private:
+    /// What residuals add to the curvature, be they misfit or noise.
+    [[nodiscard]] Eigen::MatrixXd bend(const Place& place) const;
     /// Under a curvature h; none if that is not positive definite.
     [[nodiscard]] std::optional<Response> respond(const Place& from, const Eigen::MatrixXd& h, Index psi, double by,
                                                   double damping) const;
@@ -90,6 +96,7 @@ private:
     Refitter& refitter_;
     Eigen::VectorXd lower_, upper_;
     Place start_;
+    double share_ = 0;  ///< of what misfit adds to the curvature, that is not noise
 };
 
 }  // namespace brdfit::optim

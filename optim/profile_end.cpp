@@ -105,7 +105,7 @@ std::optional<double> ProfileEnd::search(bool at_start) {
     return linear();
 }
 
-void ProfileEnd::judge(bool at_start) {
+void ProfileEnd::see() {
     constexpr double kMostChange = 3;  // of noise, from the estimate on: beyond, a term has vanished
     here_ = about_.respond(from_, psi_, 0, 0);
     if (still_) here_.loss2 = from_.loss2;
@@ -114,8 +114,14 @@ void ProfileEnd::judge(bool at_start) {
     unit_ = std::max(here_.noise, 1e-300);
     root_ = std::sqrt(std::max(here_.loss2 - least_, 0.0) / unit_);
     reach_ = std::max(reach_, std::sqrt(floor_ / unit_));
+}
+
+void ProfileEnd::judge(bool at_start) {
+    see();
     settled_ = at_start || follows();
     if (at_start || !settled_ || std::abs(reach_ - root_) >= 0.4 * reach_ || from_.z(psi_) == judged_) return;
+    from_ = about_.with_own_misfit(std::move(from_));
+    see();
     // The noise at the estimate or here, whichever is more: bent, the profile shows both.
     const double more = std::max(1.0, first_.noise / here_.noise);
     reach_ =
@@ -157,8 +163,7 @@ void ProfileEnd::step(double to) {
     const double factor = shortening(whole);
     const VectorXd step = whole * factor;
     const Place there = about_.look(landing(step, to, by, factor));
-    const double expected =
-        from_.loss2 + 2 * from_.g.dot(step) + step.dot((from_.a + about_.minimised().misfit) * step);
+    const double expected = from_.loss2 + 2 * from_.g.dot(step) + step.dot((from_.a + from_.s) * step);
     if (there.is_finite() && (by == 0 ? there.loss2 <= from_.loss2 : there.loss2 - expected <= 0.5 * allowed())) {
         still_ = by == 0 && from_.loss2 - there.loss2 <= 0.25 * close();
         from_ = there;

@@ -58,8 +58,9 @@ private:
     };
 
     std::optional<double> search(bool at_start);
-    /// How far the profile has risen where the search stands, against how far it may, and whether the others have
-    /// followed closely enough to tell.
+    /// Learns how far the profile has risen where the search stands.
+    void see();
+    /// The same, against how far it may, and whether the others have followed closely enough to tell.
     void judge(bool at_start);
     /// By what loss^2 may rise.
     [[nodiscard]] double allowed() const { return reach_ * reach_ * unit_; }
