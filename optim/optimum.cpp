@@ -34,10 +34,19 @@ constexpr std::size_t kPolished = 6;
 
 /// Searches under reweighted squares, each from the fit before.
 constexpr int kReweightings = 6;
+/// A model with so few parameters that are not coefficients is quickly searched.
+constexpr std::size_t kFew = 3;
+/// Ends of short descents under a robust loss that go on.
+constexpr std::size_t kLast = 2;
 /// A scale of residuals that falls by less has settled.
 constexpr double kSettledScale = 0.98;
 /// A loss^2 that falls to more than this part of the one before is no other fit.
 constexpr double kAsGood = 1 - 1e-6;
+
+/// Whether a search begins in the quickest arithmetic.
+bool begins_quickly(const Task& task) { return !task.precision && task.model.begins_quickly(); }
+bool is_small(const Model& model) { return model.nonlinear().size() <= kFew; }
+kernels::Precision exact_precision(const Task& task) { return task.precision.value_or(task.engine.best_precision()); }
 
 /// Starts within each special case that the bounds leave open.
 std::vector<std::vector<double>> special_starts(const Task& task, SpaceLoss& loss) {
@@ -209,8 +218,8 @@ Optimum finished(const Task& task, const std::vector<Interval>& bounds, const We
     if (std::any_of(task.model.terms.begin(), task.model.terms.end(),
                     [](const kernels::Term& term) { return term.homogeneous.has_value(); })) {
         const SearchSpace space(task.model, bounds, unknowns, task.scale, level, Charts::none);
-        Evaluator evaluator(task.engine, task.model, task.precision.value_or(task.engine.best_precision()),
-                            task.directions, weighted.y, weighted.weight);
+        Evaluator evaluator(task.engine, task.model, exact_precision(task), task.directions, weighted.y,
+                            weighted.weight);
         SpaceLoss loss(evaluator, space, scale2, &weighted);
         const Landscape landscape = [&](auto at) { return loss.looks(at); };
         Minimum best{
@@ -245,10 +254,10 @@ Optimum finished(const Task& task, const std::vector<Interval>& bounds, const We
 
 /// A loss that is not quadratic in the coefficients, in all parameters.
 struct AllParameters {
-    AllParameters(const Task& task, const std::vector<Interval>& bounds, double level, const Weighted& form)
+    AllParameters(const Task& task, const std::vector<Interval>& bounds, double level, const Weighted& form,
+                  kernels::Precision precision, kernels::Accuracy accuracy)
         : space(task.model, bounds, Unknowns::all, task.scale, level, Charts::used, &task.directions),
-          evaluator(task.engine, task.model, task.precision.value_or(task.engine.best_precision()), task.directions,
-                    form.y, form.weight),
+          evaluator(task.engine, task.model, precision, task.directions, form.y, form.weight, accuracy),
           scale2(scale2_of(form)),
           loss(evaluator, space, scale2, &form) {}
 
@@ -266,7 +275,7 @@ struct AllParameters {
 
 Optimum search_in_all(const Task& task, const std::vector<Interval>& bounds, double level,
                       const std::vector<Point>& starts, Effort effort, bool from_starts_alone) {
-    AllParameters all(task, bounds, level, task.weighted);
+    AllParameters all(task, bounds, level, task.weighted, exact_precision(task), kernels::Accuracy::full);
     SpaceLoss* const stage = &all.loss;
     const SearchBudget allowed =
         from_starts_alone ? SearchBudget{} : budget(effort, all.space.dimension(), task.model.repeats);
@@ -300,7 +309,7 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
                            const Point* smaller, std::size_t ends, Effort effort) {
     const double scale2 = scale2_of(squares);
     const SearchSpace space(task.model, bounds, Unknowns::nonlinear, task.scale, 1, Charts::used, &task.directions);
-    const kernels::Precision precision = task.precision.value_or(task.engine.best_precision());
+    const kernels::Precision precision = exact_precision(task);
     std::list<Evaluator> evaluators;  // losses keep references
     std::list<SpaceLoss> losses;
     std::vector<SpaceLoss*> stages;
@@ -309,7 +318,7 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
         evaluators.emplace_back(task.engine, task.model, arithmetic, directions, data.y, data.weight, accuracy);
         return &losses.emplace_back(evaluators.back(), space, scale2);
     };
-    const bool coarse = !task.precision && task.model.begins_quickly();
+    const bool coarse = begins_quickly(task);
     const kernels::Precision quick = coarse ? task.engine.quickest_precision() : precision;
     const kernels::Accuracy accuracy = coarse ? task.model.first_accuracy() : kernels::Accuracy::full;
     std::optional<Thinned> thin;
@@ -356,15 +365,19 @@ Residuals residuals_at(const Task& task, const Point& start) {
     return residuals(task.weighted, f);
 }
 
-/// The ends of descents under a loss that is not quadratic in the coefficients, best first.
+/// The ends of short descents under a loss that is not quadratic in the coefficients, best first: but for small models
+/// only the best is followed to its end, and they move in the search's quick arithmetic, if it has one.
 std::vector<Point> descended(const Task& task, const std::vector<Interval>& bounds, double level, const Weighted& form,
                              const std::vector<Point>& starts, std::size_t& evaluations) {
-    constexpr DescentGoal kGoal{1e-6, 1e-24, 60};
+    constexpr double kHopeful = 0.01;
     constexpr double kSame = 1e-2;
-    AllParameters all(task, bounds, level, form);
+    const bool quickly = begins_quickly(task);
+    const DescentGoal goal{.relative = quickly ? 1e-4 : 1e-6, .hopeful = is_small(task.model) ? 0.0 : kHopeful};
+    AllParameters all(task, bounds, level, form, quickly ? task.engine.quickest_precision() : exact_precision(task),
+                      quickly ? task.model.first_accuracy() : kernels::Accuracy::full);
     if (all.space.dimension() == 0) return starts;
     const Landscape landscape = [&](auto at) { return all.loss.looks(at); };
-    std::vector<Minimum> ends = descend_together(landscape, all.points(starts), kGoal, task.control);
+    std::vector<Minimum> ends = descend_together(landscape, all.points(starts), goal, task.control);
     std::stable_sort(ends.begin(), ends.end(), [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
     std::vector<Point> result;
     for (Minimum& end : distinct_ends(ends, kSame)) {
@@ -461,17 +474,23 @@ Groundwork lay_groundwork(const Task& task, const std::vector<Interval>& bounds,
         work.starts.insert(work.starts.end(), found.starts.begin(), found.starts.end());
     };
     if (extension) work.starts.push_back(*extension);
-    search(squares, task.effort);
+    search(squares, is_small(task.model) ? task.effort : again(task.effort));
     if (task.weighted.logarithmic) add_lit(task, bounds, levels, work.starts);
-    work.scale = HUGE_VAL;
-    std::vector<double> best;
-    for (const Point& start : work.starts) {
-        std::vector<double> r = residuals_at(task, start).r;
-        const double scale = robust_scale(task.weighted, r, free);
-        if (!(scale < work.scale)) continue;
-        work.scale = scale;
-        best = std::move(r);
-    }
+    std::vector<double> best;  // residuals
+    // The least scale of the starts, of which the first is the one that has it.
+    const auto least_scale = [&] {
+        double least = HUGE_VAL;
+        for (Point& start : work.starts) {
+            std::vector<double> r = residuals_at(task, start).r;
+            const double scale = robust_scale(task.weighted, r, free);
+            if (!(scale < least)) continue;
+            least = scale;
+            best = std::move(r);
+            std::swap(work.starts.front(), start);
+        }
+        return least;
+    };
+    work.scale = least_scale();
     Weighted form = task.weighted;
     Criterion cauchy;
     cauchy.robust = form.robust = Robust::cauchy;
@@ -480,10 +499,17 @@ Groundwork lay_groundwork(const Task& task, const std::vector<Interval>& bounds,
         form.scale = work.scale;
         search(reweighted(squares, form, best), again(task.effort));
         work.starts = descended(task, bounds, level, form, work.starts, work.evaluations);
-        best = residuals_at(task, work.starts.front()).r;
-        const double next = robust_scale(task.weighted, best, free);
+        double next = least_scale();
         const bool settled = next > kSettledScale * work.scale;
-        work.scale = std::min(work.scale, next);
+        // The next search is worth more at weights that stay.
+        for (int k = 0; k < kReweightings && next <= kSettledScale * form.scale && !task.control.over(); ++k) {
+            form.scale = next;
+            Point& front = work.starts.front();
+            front = descended(task, bounds, level, form, {front}, work.evaluations).front();
+            best = residuals_at(task, front).r;
+            next = robust_scale(task.weighted, best, free);
+        }
+        work.scale = std::min({work.scale, form.scale, next});
         if (settled) break;
     }
     return work;
@@ -496,18 +522,20 @@ Optimum find_robust_optimum(const Task& task, const std::vector<Interval>& bound
     std::vector<Point> starts = groundwork.starts;
     std::optional<Point> extension;
     if (smaller != nullptr) starts.push_back(extension.emplace(extended(task.model, *smaller->model, *smaller)));
-    // Nothing here is thinned, and the starts are good.
-    const bool many = squares.y.size() > kThinAbove;
-    Optimum optimum = search_in_all(task, bounds, level, starts, again(task.effort), many);
-    add_before(optimum.record, groundwork.evaluations);
-    std::size_t evaluations = 0;
+    std::size_t evaluations = groundwork.evaluations;
+    starts = descended(task, bounds, level, task.weighted, starts, evaluations);
+    starts.resize(std::min(starts.size(), kLast));
+    if (extension) starts.push_back(*extension);
+    Optimum optimum = search_in_all(task, bounds, level, starts, task.effort, task.effort != Effort::thorough);
+    add_before(optimum.record, evaluations);
+    evaluations = 0;
     const double scale2 = scale2_of(task.weighted);
     // The squares that touch the loss at the best fit so far may lead to a better one.
     for (int round = 0; round < kReweightings && !task.control.over(); ++round) {
         const Point here{optimum.parameters, optimum.scale};
         const Weighted touching = balanced(reweighted(squares, task.weighted, residuals_at(task, here).r));
         Separable found =
-            search_separable(task, bounds, touching, extension ? &*extension : nullptr, kPolished, again(task.effort));
+            search_separable(task, bounds, touching, extension ? &*extension : nullptr, kPolished, task.effort);
         evaluations += found.optimum.record.evaluations;
         const Point best = descended(task, bounds, level, task.weighted, found.starts, evaluations).front();
         const double relative_loss2 = residuals_at(task, best).loss2 / scale2;
