@@ -39,10 +39,19 @@ constexpr DescentGoal kThroughAllGoal{
 
 /// Searches under reweighted squares, each from the fit before.
 constexpr int kReweightings = 6;
+/// A model with so few parameters that are not coefficients is quickly searched.
+constexpr std::size_t kFew = 3;
+/// Ends of short descents under a robust loss that go on.
+constexpr std::size_t kLast = 2;
 /// A scale of residuals that falls by less has settled.
 constexpr double kSettledScale = 0.98;
 /// A loss^2 that falls to more than this part of the one before is no other fit.
 constexpr double kAsGood = 1 - 1e-6;
+
+/// Whether a search begins in the quickest arithmetic.
+bool begins_quickly(const Task& task) { return !task.precision && task.model.begins_quickly(); }
+bool is_small(const Model& model) { return model.nonlinear().size() <= kFew; }
+kernels::Precision exact_precision(const Task& task) { return task.precision.value_or(task.engine.best_precision()); }
 
 /// Starts within each special case that the bounds leave open.
 std::vector<std::vector<double>> special_starts(const Task& task, SpaceLoss& loss) {
@@ -185,12 +194,12 @@ Optimum settled(const Task& task, const std::vector<Interval>& bounds, const Wei
 }
 
 /// At a kink of the loss, such as a sample's critical angle is, no slope tells the way on: a point about the end may.
-/// None if that is not so.
-std::optional<Optimum> beside(const Task& task, const std::vector<Interval>& bounds, const Weighted& weighted,
-                              Unknowns unknowns, double level, double scale2, Optimum& found) {
+/// What a descent from the best such point ends at, or what was found if none is better.
+Optimum beside(const Task& task, const std::vector<Interval>& bounds, const Weighted& weighted, Unknowns unknowns,
+               double level, double scale2, const Optimum& found) {
     constexpr std::size_t kOfSize = 20;
     const SearchSpace space(task.model, bounds, unknowns, task.scale, level, Charts::none);
-    if (space.dimension() == 0 || weighted.y.size() > kThinAbove) return std::nullopt;
+    if (space.dimension() == 0 || weighted.y.size() > kThinAbove) return found;
     Evaluator evaluator(task.engine, task.model, task.engine.best_precision(), task.directions, weighted.y,
                         weighted.weight);
     SpaceLoss loss(evaluator, space, scale2, &weighted);
@@ -207,8 +216,9 @@ std::optional<Optimum> beside(const Task& task, const std::vector<Interval>& bou
     const std::vector<double> values = loss.screen(points, task.control);
     const auto least = std::min_element(values.begin(), values.end());
     if (!(*least < found.relative_loss2 * (1 - 1e-9))) {
-        found.record.evaluations += loss.evaluations();
-        return std::nullopt;
+        Optimum same = found;
+        same.record.evaluations += loss.evaluations();
+        return same;
     }
     const Landscape landscape = [&](auto at) { return loss.looks(at); };
     const auto& start = points[static_cast<std::size_t>(least - values.begin())];
@@ -231,8 +241,8 @@ Optimum finished(const Task& task, const std::vector<Interval>& bounds, const We
     if (std::any_of(task.model.terms.begin(), task.model.terms.end(),
                     [](const kernels::Term& term) { return term.homogeneous.has_value(); })) {
         const SearchSpace space(task.model, bounds, unknowns, task.scale, level, Charts::none);
-        Evaluator evaluator(task.engine, task.model, task.precision.value_or(task.engine.best_precision()),
-                            task.directions, weighted.y, weighted.weight);
+        Evaluator evaluator(task.engine, task.model, exact_precision(task), task.directions, weighted.y,
+                            weighted.weight);
         SpaceLoss loss(evaluator, space, scale2, &weighted);
         const Landscape landscape = [&](auto at) { return loss.looks(at); };
         Minimum best{
@@ -257,19 +267,20 @@ Optimum finished(const Task& task, const std::vector<Interval>& bounds, const We
     if (task.control.over()) return optimum;
     optimum = settled(task, bounds, weighted, unknowns, level, scale2, optimum);
     for (int round = 0; round < kRounds && optimum.record.stop_reason == StopReason::roundoff; ++round) {
-        const auto next = beside(task, bounds, weighted, unknowns, level, scale2, optimum);
-        if (!next) break;
-        optimum = settled(task, bounds, weighted, unknowns, level, scale2, *next);
+        Optimum next = beside(task, bounds, weighted, unknowns, level, scale2, optimum);
+        const bool better = next.relative_loss2 < optimum.relative_loss2;
+        optimum = better ? settled(task, bounds, weighted, unknowns, level, scale2, next) : std::move(next);
+        if (!better) break;
     }
     return optimum;
 }
 
 /// A loss that is not quadratic in the coefficients, in all parameters.
 struct AllParameters {
-    AllParameters(const Task& task, const std::vector<Interval>& bounds, double level, const Weighted& form)
+    AllParameters(const Task& task, const std::vector<Interval>& bounds, double level, const Weighted& form,
+                  kernels::Precision precision, kernels::Accuracy accuracy)
         : space(task.model, bounds, Unknowns::all, task.scale, level, Charts::used, &task.directions),
-          evaluator(task.engine, task.model, task.precision.value_or(task.engine.best_precision()), task.directions,
-                    form.y, form.weight),
+          evaluator(task.engine, task.model, precision, task.directions, form.y, form.weight, accuracy),
           scale2(scale2_of(form)),
           loss(evaluator, space, scale2, &form) {}
 
@@ -287,7 +298,7 @@ struct AllParameters {
 
 Optimum search_in_all(const Task& task, const std::vector<Interval>& bounds, double level,
                       const std::vector<Point>& starts, Effort effort, bool from_starts_alone) {
-    AllParameters all(task, bounds, level, task.weighted);
+    AllParameters all(task, bounds, level, task.weighted, exact_precision(task), kernels::Accuracy::full);
     SpaceLoss* const stage = &all.loss;
     const SearchBudget allowed =
         from_starts_alone ? SearchBudget{} : budget(effort, all.space.dimension(), task.model.repeats);
@@ -321,7 +332,7 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
                            const Point* smaller, std::size_t ends, Effort effort) {
     const double scale2 = scale2_of(squares);
     const SearchSpace space(task.model, bounds, Unknowns::nonlinear, task.scale, 1, Charts::used, &task.directions);
-    const kernels::Precision precision = task.precision.value_or(task.engine.best_precision());
+    const kernels::Precision precision = exact_precision(task);
     std::list<Evaluator> evaluators;  // losses keep references
     std::list<SpaceLoss> losses;
     std::vector<SpaceLoss*> stages;
@@ -330,7 +341,7 @@ Separable search_separable(const Task& task, const std::vector<Interval>& bounds
         evaluators.emplace_back(task.engine, task.model, arithmetic, directions, data.y, data.weight, accuracy);
         return &losses.emplace_back(evaluators.back(), space, scale2);
     };
-    const bool coarse = !task.precision && task.model.begins_quickly();
+    const bool coarse = begins_quickly(task);
     const kernels::Precision quick = coarse ? task.engine.quickest_precision() : precision;
     const kernels::Accuracy accuracy = coarse ? task.model.first_accuracy() : kernels::Accuracy::full;
     std::optional<Thinned> thin;
@@ -386,15 +397,19 @@ Residuals residuals_at(const Task& task, const Point& start) {
     return residuals(task.weighted, f);
 }
 
-/// The ends of descents under a loss that is not quadratic in the coefficients, best first.
+/// The ends of short descents under a loss that is not quadratic in the coefficients, best first: but for small models
+/// only the best is followed to its end, and they move in the search's quick arithmetic, if it has one.
 std::vector<Point> descended(const Task& task, const std::vector<Interval>& bounds, double level, const Weighted& form,
                              const std::vector<Point>& starts, std::size_t& evaluations) {
-    constexpr DescentGoal kGoal{1e-6, 1e-24, 60};
+    constexpr double kHopeful = 0.01;
     constexpr double kSame = 1e-2;
-    AllParameters all(task, bounds, level, form);
+    const bool quickly = begins_quickly(task);
+    const DescentGoal goal{.relative = quickly ? 1e-4 : 1e-6, .hopeful = is_small(task.model) ? 0.0 : kHopeful};
+    AllParameters all(task, bounds, level, form, quickly ? task.engine.quickest_precision() : exact_precision(task),
+                      quickly ? task.model.first_accuracy() : kernels::Accuracy::full);
     if (all.space.dimension() == 0) return starts;
     const Landscape landscape = [&](auto at) { return all.loss.looks(at); };
-    std::vector<Minimum> ends = descend_together(landscape, all.points(starts), kGoal, task.control);
+    std::vector<Minimum> ends = descend_together(landscape, all.points(starts), goal, task.control);
     std::stable_sort(ends.begin(), ends.end(), [](const Minimum& a, const Minimum& b) { return a.loss2 < b.loss2; });
     std::vector<Point> result;
     for (Minimum& end : distinct_ends(ends, kSame)) {
@@ -491,17 +506,23 @@ Groundwork lay_groundwork(const Task& task, const std::vector<Interval>& bounds,
         work.starts.insert(work.starts.end(), found.starts.begin(), found.starts.end());
     };
     if (extension) work.starts.push_back(*extension);
-    search(squares, task.effort);
+    search(squares, is_small(task.model) ? task.effort : again(task.effort));
     if (task.weighted.logarithmic) add_lit(task, bounds, levels, work.starts);
-    work.scale = HUGE_VAL;
-    std::vector<double> best;
-    for (const Point& start : work.starts) {
-        std::vector<double> r = residuals_at(task, start).r;
-        const double scale = robust_scale(task.weighted, r, free);
-        if (!(scale < work.scale)) continue;
-        work.scale = scale;
-        best = std::move(r);
-    }
+    std::vector<double> best;  // residuals
+    // The least scale of the starts, of which the first is the one that has it.
+    const auto least_scale = [&] {
+        double least = HUGE_VAL;
+        for (Point& start : work.starts) {
+            std::vector<double> r = residuals_at(task, start).r;
+            const double scale = robust_scale(task.weighted, r, free);
+            if (!(scale < least)) continue;
+            least = scale;
+            best = std::move(r);
+            std::swap(work.starts.front(), start);
+        }
+        return least;
+    };
+    work.scale = least_scale();
     Weighted form = task.weighted;
     Criterion cauchy;
     cauchy.robust = form.robust = Robust::cauchy;
@@ -510,10 +531,17 @@ Groundwork lay_groundwork(const Task& task, const std::vector<Interval>& bounds,
         form.scale = work.scale;
         search(reweighted(squares, form, best), again(task.effort));
         work.starts = descended(task, bounds, level, form, work.starts, work.evaluations);
-        best = residuals_at(task, work.starts.front()).r;
-        const double next = robust_scale(task.weighted, best, free);
+        double next = least_scale();
         const bool settled = next > kSettledScale * work.scale;
-        work.scale = std::min(work.scale, next);
+        // The next search is worth more at weights that stay.
+        for (int k = 0; k < kReweightings && next <= kSettledScale * form.scale && !task.control.over(); ++k) {
+            form.scale = next;
+            Point& front = work.starts.front();
+            front = descended(task, bounds, level, form, {front}, work.evaluations).front();
+            best = residuals_at(task, front).r;
+            next = robust_scale(task.weighted, best, free);
+        }
+        work.scale = std::min({work.scale, form.scale, next});
         if (settled) break;
     }
     return work;
@@ -526,18 +554,20 @@ Optimum find_robust_optimum(const Task& task, const std::vector<Interval>& bound
     std::vector<Point> starts = groundwork.starts;
     std::optional<Point> extension;
     if (smaller != nullptr) starts.push_back(extension.emplace(extended(task.model, *smaller->model, *smaller)));
-    // Nothing here is thinned, and the starts are good.
-    const bool many = squares.y.size() > kThinAbove;
-    Optimum optimum = search_in_all(task, bounds, level, starts, again(task.effort), many);
-    add_before(optimum.record, groundwork.evaluations);
-    std::size_t evaluations = 0;
+    std::size_t evaluations = groundwork.evaluations;
+    starts = descended(task, bounds, level, task.weighted, starts, evaluations);
+    starts.resize(std::min(starts.size(), kLast));
+    if (extension) starts.push_back(*extension);
+    Optimum optimum = search_in_all(task, bounds, level, starts, task.effort, task.effort != Effort::thorough);
+    add_before(optimum.record, evaluations);
+    evaluations = 0;
     const double scale2 = scale2_of(task.weighted);
     // The squares that touch the loss at the best fit so far may lead to a better one.
     for (int round = 0; round < kReweightings && !task.control.over(); ++round) {
         const Point here{optimum.parameters, optimum.scale};
         const Weighted touching = balanced(reweighted(squares, task.weighted, residuals_at(task, here).r));
         Separable found =
-            search_separable(task, bounds, touching, extension ? &*extension : nullptr, kPolished, again(task.effort));
+            search_separable(task, bounds, touching, extension ? &*extension : nullptr, kPolished, task.effort);
         evaluations += found.optimum.record.evaluations;
         const Point best = descended(task, bounds, level, task.weighted, found.starts, evaluations).front();
         const double relative_loss2 = residuals_at(task, best).loss2 / scale2;

@@ -4,8 +4,14 @@
 #include <cmath>
 #include <limits>
 
+#include <Eigen/Core>
+
 namespace brdfit::optim {
 namespace {
+
+using Eigen::Index;
+using Eigen::MatrixXd;
+using Eigen::VectorXd;
 
 /// Median of |x| of a Gaussian of variance 1.
 constexpr double kGaussianMedian = 0.6744897501960817;
@@ -59,38 +65,48 @@ void robust_loss(kernels::Evaluator& evaluator, const Weighted& weighted, std::s
             slopes.push_back({row++, term, t + static_cast<std::size_t>(place)});
         }
     }
-    std::vector<double> column(unknowns), slope(unknowns), normal(normals);
+    // Samples without a weight count for nothing.
+    std::vector<Index> counted;
+    for (std::size_t j = 0; j < n; ++j)
+        if (weighted.weight[j] > 0) counted.push_back(static_cast<Index>(j));
+    const auto m = static_cast<Index>(counted.size());
+    MatrixXd slope(m, static_cast<Index>(unknowns));  // of the residuals, by the unknowns
+    VectorXd f(m), pull(m), root(m);
     const std::size_t most = std::max<std::size_t>(1, kHeld / std::max<std::size_t>(1, v * n));
     for (std::size_t first = 0; first < candidates; first += most) {
         const std::size_t count = std::min(most, candidates - first);
         const std::vector<double> terms = evaluator.terms(parameters.subspan(first * p, count * p));
         for (std::size_t i = first; i < first + count; ++i) {
-            const double* rows = terms.data() + (i - first) * v * n;
-            const double* c = coefficients.data() + i * t;
-            std::fill(slope.begin(), slope.end(), 0.0);
-            std::fill(normal.begin(), normal.end(), 0.0);
+            const Eigen::Map<const MatrixXd> rows(terms.data() + (i - first) * v * n, static_cast<Index>(n),
+                                                  static_cast<Index>(v));
+            const Eigen::Map<const VectorXd> c(coefficients.data() + i * t, static_cast<Index>(t));
+            for (std::size_t k = 0; k < t; ++k)
+                slope.col(static_cast<Index>(k)) = rows.col(static_cast<Index>(values[k]))(counted);
+            f.noalias() = slope.leftCols(static_cast<Index>(t)) * c;
+            slope.rightCols(static_cast<Index>(nonlinear.size())).setZero();
+            for (const Slope& s : slopes)
+                slope.col(static_cast<Index>(s.column)) +=
+                    c(static_cast<Index>(s.term)) * rows.col(static_cast<Index>(s.row))(counted);
             double loss = 0;
-            for (std::size_t j = 0; j < n; ++j) {
-                if (!(weighted.weight[j] > 0)) continue;
-                double f = 0;
-                for (std::size_t k = 0; k < t; ++k) f += c[k] * (column[k] = rows[values[k] * n + j]);
-                std::fill(column.begin() + static_cast<std::ptrdiff_t>(t), column.end(), 0.0);
-                for (const Slope& s : slopes) column[s.column] += c[s.term] * rows[s.row * n + j];
-                const Residual at = residual(weighted.logarithmic, f, weighted.y[j]);
-                const Influence influence = weighted.influence(weighted.weight[j] * at.r * at.r);
+            for (Index j = 0; j < m; ++j) {
+                const auto sample = static_cast<std::size_t>(counted[static_cast<std::size_t>(j)]);
+                const Residual at = residual(weighted.logarithmic, f(j), weighted.y[sample]);
+                const Influence influence = weighted.influence(weighted.weight[sample] * at.r * at.r);
                 loss += influence.loss;
-                const double w = weighted.weight[j] * influence.weight;
-                double* entry = normal.data();
-                for (std::size_t a = 0; a < unknowns; ++a) {
-                    const double x = w * at.by_f * column[a];
-                    slope[a] += 2 * x * at.r;
-                    for (std::size_t b = a; b < unknowns; ++b) *entry++ += x * at.by_f * column[b];
-                }
+                root(j) = std::sqrt(weighted.weight[sample] * influence.weight);
+                pull(j) = root(j) * at.r;
+                root(j) *= at.by_f;
             }
             out.loss[i] = loss;
-            std::copy_n(slope.begin(), t, out.by_coefficient.begin() + static_cast<std::ptrdiff_t>(i * t));
-            for (std::size_t q = 0; q < nonlinear.size(); ++q) out.by_parameter[i * p + nonlinear[q]] = slope[t + q];
-            std::copy(normal.begin(), normal.end(), out.normal.begin() + static_cast<std::ptrdiff_t>(i * normals));
+            slope.array().colwise() *= root.array();
+            const VectorXd gradient = 2 * (slope.transpose() * pull);
+            const MatrixXd normal = slope.transpose() * slope;
+            std::copy_n(gradient.data(), t, out.by_coefficient.begin() + static_cast<std::ptrdiff_t>(i * t));
+            for (std::size_t q = 0; q < nonlinear.size(); ++q)
+                out.by_parameter[i * p + nonlinear[q]] = gradient(static_cast<Index>(t + q));
+            double* entry = out.normal.data() + i * normals;
+            for (Index a = 0; a < normal.rows(); ++a)
+                for (Index b = a; b < normal.cols(); ++b) *entry++ = normal(a, b);
         }
     }
 }
