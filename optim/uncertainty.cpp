@@ -237,6 +237,7 @@ private:
             for (Index i = 0; i < p; ++i)
                 if (std::abs(eigen.eigenvectors()(i, e)) > 1e-3) determined_[at(i)] = false;
         }
+        if (kept.empty()) return;
         const MatrixXd v = eigen.eigenvectors()(Eigen::all, kept);
         const VectorXd lambda = eigen.eigenvalues()(kept);
         const MatrixXd directions = unit_.asDiagonal() * v;

@@ -47,6 +47,12 @@ holds "all negative: a natural limit is told" \
 post_json /v1/fits "$(scans '1e-200')"
 answered "values of 1e-200" 200
 holds "values of 1e-200: a reason" '.channels[0] | .fits == [] and all(.failures[]; .reason | contains("too small"))'
+# A lobe of exponent 0.01 is 0.01 high with a height of 1e-200, whose slopes have squares beyond every number.
+post_json /v1/fits "$(scans '0.0098 * (1 + 0.01 * (($r + 75) / 10 * 3 % 7))' | jq -c '.options.loss = "log" | .models = [
+    {name: "lafortune", lobes: 1, fixed: {n_1: 0.01, k_d: 0}, bounds: {c_xy_1: [-1e-200, -1e-203], c_z_1: [1e-203, 1e-200]}}]')"
+answered "heights of 1e-200" 200
+holds "heights of 1e-200: found, with a standard error or a word" '.channels[0] | .failures == []
+    and (.fits[0] | .loss < 0.05 and (.parameters.c_z_1.std_error != null or (.warnings | join(" ") | contains("c_z_1"))))'
 post_json /v1/fits "$(scans "1e-30 * $lobe" | jq -c '.dataset.unit = "relative"')"
 numbers "relative values of 1e-30"
 finish
