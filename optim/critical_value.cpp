@@ -9,6 +9,7 @@
 #include <Eigen/Dense>
 #include <boost/math/distributions/normal.hpp>
 
+#include "optim/index.h"
 #include "optim/statistics.h"
 
 namespace brdfit::optim {
@@ -17,8 +18,6 @@ namespace {
 using Eigen::Index;
 using Eigen::MatrixXd;
 using Eigen::VectorXd;
-
-std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
 /// Unknowns near bounds that a critical value takes account of, besides the one whose interval it is.
 constexpr Index kMostNear = 2;

@@ -6,6 +6,7 @@
 
 #include <Eigen/Dense>
 
+#include "optim/index.h"
 #include "optim/statistics.h"
 
 namespace brdfit::optim {
@@ -17,8 +18,6 @@ using Eigen::VectorXd;
 
 /// Of a parameter that the model is even in: below, it is 0, where it has no slope.
 constexpr double kNought = 1e-3;
-
-std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
 }  // namespace
 

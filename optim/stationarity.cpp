@@ -5,6 +5,8 @@
 
 #include <Eigen/Dense>  // eigenvalues of the small symmetric matrix of curvatures
 
+#include "optim/index.h"
+
 namespace brdfit::optim {
 namespace {
 
@@ -17,8 +19,6 @@ constexpr double kTrust = 0.1;
 /// Newton steps, each with a new look at the curvature.
 constexpr int kRounds = 40;
 constexpr int kDescentEvaluations = 400;
-
-std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
 /// The objective about a point in its free coordinates, in units in which all curve alike.
 struct Quadratic {

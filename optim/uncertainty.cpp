@@ -9,6 +9,7 @@
 #include <boost/math/distributions/normal.hpp>  // quantiles
 
 #include "optim/coordinate.h"
+#include "optim/index.h"
 #include "optim/profile.h"
 #include "optim/statistics.h"
 
@@ -23,8 +24,6 @@ using Eigen::VectorXd;
 constexpr double kUnseen = 1e-12;
 /// Relative to unit columns: below, a direction is rounding noise.
 constexpr double kUndetermined = 1e-11;
-
-std::size_t at(Index i) { return static_cast<std::size_t>(i); }
 
 class Sandwich {
 public:
