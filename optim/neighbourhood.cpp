@@ -53,16 +53,22 @@ VectorXd Neighbourhood::bounded(VectorXd z) const {
     return z;
 }
 
-Place Neighbourhood::look(const VectorXd& z) const {
+Point Neighbourhood::point_at(const VectorXd& z, VectorXd& slopes) const {
     Point point = minimised_.point;
-    std::vector<double> values;
+    slopes.resize(count());
     for (Index i = 0; i < count(); ++i) {
         const Coordinate& c = unknown(i);
         const double value = std::clamp(c.value(z(i)), minimised_.bounds[at(i)].min, minimised_.bounds[at(i)].max);
-        values.push_back(value);
+        slopes(i) = c.parameter ? c.slope(value) : 1.0;
         (c.parameter ? point.parameters[*c.parameter] : point.scale) = value;
     }
-    const kernels::Values there = refitter_.values(point, true);
+    return point;
+}
+
+Place Neighbourhood::look(const VectorXd& z) const {
+    VectorXd own;
+    const Point point = point_at(z, own);
+    const kernels::Values& there = refitter_.values(point, true);
     const Residuals residual = residuals(minimised_.task.weighted, there.f);
     const auto n = static_cast<Index>(there.f.size());
     VectorXd root(n), r(n);
@@ -75,8 +81,7 @@ Place Neighbourhood::look(const VectorXd& z) const {
     for (Index i = 0; i < count(); ++i) {
         const Coordinate& c = unknown(i);
         const double* slopes = c.parameter ? there.by_parameter.data() + *c.parameter * at(n) : there.f.data();
-        rows.col(i) =
-            (c.parameter ? c.slope(values[at(i)]) : 1.0) * root.cwiseProduct(Eigen::Map<const VectorXd>(slopes, n));
+        rows.col(i) = own(i) * root.cwiseProduct(Eigen::Map<const VectorXd>(slopes, n));
     }
     Place result{z, residual.loss2, rows.transpose() * r, rows.transpose() * rows, {}, minimised_.misfit};
     VectorXd noise(n);
@@ -89,12 +94,29 @@ Place Neighbourhood::look(const VectorXd& z) const {
 MatrixXd Neighbourhood::bend(const Place& place) const {
     constexpr double kShort = 0.5;  // standard errors of one unknown, the others known
     constexpr double kLong = 0.03;  // of a large step
-    MatrixXd h(count(), count());
+    std::vector<VectorXd> ends;
     for (Index i = 0; i < count(); ++i) {
         const double step = std::min(kLong * size(i), kShort * std::sqrt(place.b(i, i)) / place.a(i, i));
         const VectorXd aside = step * VectorXd::Unit(count(), i);
-        const Place below = look(bounded(place.z - aside)), above = look(bounded(place.z + aside));
-        h.col(i) = (above.g - below.g) / (above.z(i) - below.z(i));
+        ends.push_back(bounded(place.z - aside));
+        ends.push_back(bounded(place.z + aside));
+    }
+    std::vector<Point> points;
+    MatrixXd own(count(), static_cast<Index>(ends.size()));
+    VectorXd slopes;
+    for (const VectorXd& end : ends) {
+        points.push_back(point_at(end, slopes));
+        own.col(static_cast<Index>(points.size()) - 1) = slopes;
+    }
+    const std::size_t p = minimised_.task.model.parameters.size();
+    const std::vector<double> half = refitter_.half_slopes(points);
+    const auto slope = [&](Index i, Index k) {
+        return own(i, k) * half[at(k) * (p + 1) + unknown(i).parameter.value_or(p)];
+    };
+    MatrixXd h(count(), count());
+    for (Index i = 0; i < count(); ++i) {
+        const double width = ends[at(2 * i + 1)](i) - ends[at(2 * i)](i);
+        for (Index j = 0; j < count(); ++j) h(j, i) = (slope(j, 2 * i + 1) - slope(j, 2 * i)) / width;
     }
     return (h + h.transpose()) / 2 - place.a;
 }

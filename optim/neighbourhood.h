@@ -88,6 +88,8 @@ public:
 private:
     /// What residuals add to the curvature, be they misfit or noise.
     [[nodiscard]] Eigen::MatrixXd bend(const Place& place) const;
+    /// The material there, and the slope of each unknown by its own scale (of the scale: of its logarithm).
+    [[nodiscard]] Point point_at(const Eigen::VectorXd& z, Eigen::VectorXd& slopes) const;
     /// Under a curvature h; none if that is not positive definite.
     [[nodiscard]] std::optional<Response> respond(const Place& from, const Eigen::MatrixXd& h, Index psi, double by,
                                                   double damping) const;

@@ -79,4 +79,32 @@ const kernels::Values& Refitter::values(const Point& point, bool gradient) {
     return values;
 }
 
+std::vector<double> Refitter::half_slopes(std::span<const Point> points) {
+    const kernels::Model& model = task_.model;
+    const std::size_t p = model.parameters.size();
+    const std::size_t t = model.terms.size();
+    std::vector<double> parameters, coefficients;
+    for (const Point& point : points) {
+        parameters.insert(parameters.end(), point.parameters.begin(), point.parameters.end());
+        for (const double c : model.coefficients(point.parameters)) coefficients.push_back(point.scale * c);
+    }
+    evaluator_.assign(task_.weighted.y, task_.weighted.weight);
+    kernels::Batch batch;
+    evaluator_.loss(parameters, coefficients, task_.weighted.logarithmic, batch);
+    std::vector<double> result;
+    for (std::size_t k = 0; k < points.size(); ++k) {
+        const auto first = batch.by_parameter.begin() + static_cast<std::ptrdiff_t>(k * p);
+        std::vector<double> slopes(first, first + static_cast<std::ptrdiff_t>(p));
+        double by_scale = 0;
+        for (std::size_t term = 0; term < t; ++term) {
+            const double by_coefficient = batch.by_coefficient[k * t + term];
+            by_scale += by_coefficient * coefficients[k * t + term];
+            if (const auto& factor = model.terms[term].factor) slopes[*factor] += points[k].scale * by_coefficient;
+        }
+        slopes.push_back(by_scale);
+        for (const double slope : slopes) result.push_back(slope / 2);
+    }
+    return result;
+}
+
 }  // namespace brdfit::optim

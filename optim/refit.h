@@ -30,6 +30,9 @@ public:
     /// scale f at each sample, with the unit of the task's channel; on request by each parameter as well. Valid until
     /// the next call.
     const kernels::Values& values(const Point& point, bool gradient);
+    /// Half the slopes of the loss^2 of the task's data at each point, all in one launch: by each parameter, then by
+    /// the logarithm of the scale; point by point.
+    std::vector<double> half_slopes(std::span<const Point> points);
     /// The evaluator, with the data of the last descent or what a caller has assigned since: descents assign their own.
     [[nodiscard]] kernels::Evaluator& evaluator() { return evaluator_; }
     [[nodiscard]] bool logarithmic() const { return logarithmic_; }

@@ -321,12 +321,8 @@ private:
 
     /// Half the loss's gradient by the unknowns' z, a column for each step away from the point, none beyond the bounds.
     [[nodiscard]] MatrixXd half_gradients(const std::vector<VectorXd>& steps) const {
-        const Task& task = estimate_.task;
-        const std::size_t p = task.model.parameters.size();
-        const std::size_t t = task.model.terms.size();
-        std::vector<double> parameters, coefficients;
         std::vector<Point> points;
-        MatrixXd slopes(count(), static_cast<Index>(steps.size()));  // of each unknown by its z
+        MatrixXd result(count(), static_cast<Index>(steps.size()));  // at first the slope of each unknown by its z
         for (const VectorXd& step : steps) {
             Point point = estimate_.point;
             for (Index i = 0; i < count(); ++i) {
@@ -336,35 +332,18 @@ private:
                     const Interval& bounds = estimate_.bounds[*c.parameter];
                     value = std::clamp(value, bounds.min, bounds.max);
                 }
-                slopes(i, static_cast<Index>(points.size())) = !c.parameter                         ? 1.0
+                result(i, static_cast<Index>(points.size())) = !c.parameter                         ? 1.0
                                                                : value == 0 && c.own == Own::square ? 0.0
                                                                                                     : c.slope(value);
                 (c.parameter ? point.parameters[*c.parameter] : point.scale) = value;
             }
-            parameters.insert(parameters.end(), point.parameters.begin(), point.parameters.end());
-            for (const double c : task.model.coefficients(point.parameters)) coefficients.push_back(point.scale * c);
             points.push_back(std::move(point));
         }
-        kernels::Batch batch;
-        refitter_.evaluator().assign(task.weighted.y, task.weighted.weight);
-        refitter_.evaluator().loss(parameters, coefficients, task.weighted.logarithmic, batch);
-        MatrixXd result(count(), static_cast<Index>(steps.size()));
-        for (std::size_t k = 0; k < points.size(); ++k) {
-            const double* const by_coefficient = batch.by_coefficient.data() + k * t;
-            std::vector<double> by_parameter(batch.by_parameter.begin() + static_cast<std::ptrdiff_t>(k * p),
-                                             batch.by_parameter.begin() + static_cast<std::ptrdiff_t>((k + 1) * p));
-            double by_scale = 0;
-            for (std::size_t term = 0; term < t; ++term) {
-                by_scale += by_coefficient[term] * coefficients[k * t + term] / points[k].scale;
-                if (const auto& factor = task.model.terms[term].factor)
-                    by_parameter[*factor] += points[k].scale * by_coefficient[term];
-            }
-            for (Index i = 0; i < count(); ++i) {
-                const Coordinate& c = coordinates_[at(i)];
-                const double slope = c.parameter ? by_parameter[*c.parameter] : by_scale;
-                result(i, static_cast<Index>(k)) = slopes(i, static_cast<Index>(k)) * slope / 2;
-            }
-        }
+        const std::size_t p = estimate_.task.model.parameters.size();
+        const std::vector<double> slopes = refitter_.half_slopes(points);
+        for (std::size_t k = 0; k < points.size(); ++k)
+            for (Index i = 0; i < count(); ++i)
+                result(i, static_cast<Index>(k)) *= slopes[k * (p + 1) + coordinates_[at(i)].parameter.value_or(p)];
         return result;
     }
 

@@ -580,6 +580,28 @@ TEST(ScaleOfTheData, IsNoMatterInSinglePrecision) {
     }
 }
 
+/// Where residuals add to the curvature, by the scale as well.
+TEST(ScaleOfTheData, IsNoMatterForStandardErrorsOfRelativeData) {
+    optim::Dataset dataset = dataset_of(made("phong", {0.3, 0.2, 67.8}, kScans, {0.001, 0}));
+    dataset.unit = optim::Unit::relative;
+    const Fit fit = only(fitter().fit(dataset, {request("he_torrance")}, {}));
+    for (auto& s : dataset.channels[0].samples) {
+        s.brdf *= 1.5;
+        s.sigma = *s.sigma * 1.5;
+    }
+    const Fit other = only(fitter().fit(dataset, {request("he_torrance")}, {}));
+    EXPECT_NEAR(*other.scale, 1.5 * *fit.scale, 1e-4 * *fit.scale);
+    std::size_t told = 0;
+    for (std::size_t i = 0; i < fit.parameters.size(); ++i) {
+        const auto& error = fit.parameters[i].std_error;
+        ASSERT_EQ(error.has_value(), other.parameters[i].std_error.has_value()) << fit.parameters[i].name;
+        if (!error) continue;
+        ++told;
+        EXPECT_NEAR(*other.parameters[i].std_error, *error, 1e-3 * *error) << fit.parameters[i].name;
+    }
+    EXPECT_GE(told, 2);
+}
+
 // ---- what is said of bounds ----
 
 std::string all_of(const std::vector<std::string>& warnings) {
