@@ -27,6 +27,7 @@ class Data:
         s = u + v
         self.ci, self.cr = u[2], v[2]
         self.cos_alpha = (v * mirror).sum(0)
+        self.cos_alpha[np.abs(self.cos_alpha) < 1e-15] = 0   # a right angle, but for rounding
         self.hxy = u[0] * v[0] + u[1] * v[1]
         self.hz = u[2] * v[2]
         self.w_xy = s[0] ** 2 + s[1] ** 2
