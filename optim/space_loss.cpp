@@ -201,7 +201,7 @@ std::vector<double> SpaceLoss::screen_freed(std::vector<std::vector<double>>& po
     const std::optional<Strength> strength = space_.strength();
     if (!strength) return screen(points, control);
     std::vector<double> strengths(points.size(), 1.0);
-    const std::vector<double> values = screen(points, control, strength, strengths);
+    std::vector<double> values = screen(points, control, strength, strengths);
     for (std::size_t i = 0; i < points.size(); ++i) {
         double& u = points[i][strength->coordinate];
         u = std::clamp(std::max(u, kLeastStrength) * std::sqrt(strengths[i]), kLeastStrength, 1.0);
